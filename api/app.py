@@ -57,7 +57,7 @@ def interface() -> FastAPI:
 
 def build(settings: ApiSettings) -> FastAPI:
     """The service over PostgreSQL, RQ and the object store that the settings name."""
-    from core.adapters.connect import job_queue, job_store, object_store
+    from core.adapters.wiring import job_queue, job_store, object_store
 
     # A client waits for each answer, so a store that does not answer is given up after two seconds.
     objects = object_store(settings, retries=1, timeout_s=2.0)

@@ -13,15 +13,15 @@ import psycopg
 import pytest
 import redis
 
-from core.adapters.connect import connect_redis
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
+from core.adapters.wiring import connect_redis
 from core.jobs.queue import JobQueue
 from core.jobs.store import JobStore
 from core.settings import WorkerSettings

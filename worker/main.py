@@ -22,9 +22,9 @@ from redis.exceptions import TimeoutError as RedisTimeoutError
 from rq.exceptions import StopRequested
 from rq.serializers import JSONSerializer
 
-from core.adapters.connect import connect_redis, job_store, object_store
 from core.adapters.rq.queue import job_of
 from core.adapters.startup import check_stores
+from core.adapters.wiring import connect_redis, job_store, object_store
 from core.configuration import read, stopping_if_misconfigured
 from core.environments.catalog import find
 from core.errors import EnvironmentNotFound, Misconfigured, Unavailable

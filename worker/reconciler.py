@@ -14,8 +14,8 @@ from functools import partial
 
 import structlog
 
-from core.adapters.connect import job_queue, job_store, object_store
 from core.adapters.startup import check_stores, prepare_database
+from core.adapters.wiring import job_queue, job_store, object_store
 from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.jobs import feeds, orphans

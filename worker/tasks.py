@@ -9,8 +9,8 @@ from functools import partial
 
 import structlog
 
-from core.adapters.connect import job_store, object_store
 from core.adapters.rq.queue import this_worker
+from core.adapters.wiring import job_store, object_store
 from core.configuration import read
 from core.errors import JobUnreadable, Misconfigured, NotFound, Unavailable
 from core.jobs.attempts import Claim, claim_attempt, new_secret

@@ -15,7 +15,7 @@ import psutil
 from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result, Table, at_most
 from bench.stack.processes import Parts, running
-from core.adapters.connect import job_store
+from core.adapters.wiring import job_store
 from core.settings import ApiSettings
 from tests.faults.campaign.largest_requests import Form, Service, forms
 from tests.faults.campaign.largest_sweeps import fill

@@ -13,7 +13,7 @@ from bench.measure.result import Figure, Options, Result, Target, at_most, below
 from bench.measure.statistics import percentile
 from bench.service.load_part import DEVICE, JOB
 from bench.stack.processes import Parts, running
-from core.adapters.connect import job_queue, job_store
+from core.adapters.wiring import job_queue, job_store
 from core.jobs.spec import JOB_SPEC
 from core.jobs.submission import submit
 from core.settings import WorkerSettings

@@ -15,7 +15,7 @@ from rq.serializers import JSONSerializer
 
 from bench.measure.child import answer
 from bench.stack.open_loop import post_at_rate
-from core.adapters.connect import connect_redis, job_store, object_store
+from core.adapters.wiring import connect_redis, job_store, object_store
 from core.configuration import read
 from core.errors import Conflict
 from core.jobs.attempts import claim_attempt, new_secret

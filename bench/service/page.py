@@ -19,7 +19,7 @@ from bench.measure.statistics import percentile, spread
 from bench.stack.browser import chromium
 from bench.stack.processes import Parts, running
 from bench.stack.waiting import until
-from core.adapters.connect import job_store
+from core.adapters.wiring import job_store
 from core.jobs.attempts import new_secret
 from core.jobs.job import Job, Progress, new_job_id
 from core.jobs.spec import JOB_SPEC

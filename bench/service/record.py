@@ -15,8 +15,8 @@ from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result, below
 from bench.measure.statistics import percentile
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.job import Job, new_job_id
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus

@@ -20,7 +20,7 @@ from bench.measure.statistics import spread
 from bench.service.page import settings_of
 from bench.stack.browser import stack_and_browser
 from bench.stack.processes import Parts
-from core.adapters.connect import job_store, object_store
+from core.adapters.wiring import job_store, object_store
 from core.environments import catalog
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact, ArtifactRole, Job, new_job_id

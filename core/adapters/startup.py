@@ -8,13 +8,12 @@ from functools import partial
 
 import structlog
 from redis import Redis
-from sqlalchemy import Engine
 
-from core.adapters.connect import connect_redis, job_store, object_store
-from core.adapters.postgres import revision
-from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres import schema
+from core.adapters.postgres.engine import connect_postgres
 from core.adapters.redis.errors import reaching_redis
 from core.adapters.s3.objects import S3ObjectStore
+from core.adapters.wiring import connect_redis, job_store, object_store
 from core.errors import (
     Misconfigured,
     ObjectNotFound,
@@ -66,18 +65,9 @@ def prepare_database(settings: StoreSettings) -> None:
     """
     engine = connect_postgres(settings.database_url.get_secret_value(), pool_size=0)
     try:
-        _try(partial(_upgrade, engine), math.inf)
+        _try(partial(schema.upgrade, engine), math.inf)
     except RecordsRefuse as error:
         raise Misconfigured(error.detail) from error
-
-
-def _upgrade(engine: Engine) -> None:
-    if revision.is_newest(engine):
-        return
-    # Alembic takes a tenth of a second to load, and is needed only once per version.
-    from core.adapters.postgres import schema
-
-    schema.upgrade(engine)
 
 
 def _try(look: Callable[[], None], timeout_s: float) -> None:

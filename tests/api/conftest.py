@@ -20,8 +20,8 @@ from api.dependencies import Service
 from api.server import Server, listen
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.connection import connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobFinished, RecordsUnavailable, StorageUnavailable, Unavailable
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact, Job

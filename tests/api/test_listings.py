@@ -4,7 +4,7 @@ from datetime import timedelta
 
 import pytest
 
-from core.adapters.postgres import pages
+from core.adapters.postgres import listing
 from core.jobs.workers import WorkerInfo
 from core.user_models.record import ModelRecord
 from gaitway import Client
@@ -84,7 +84,7 @@ def test_a_page_of_long_records_ends_early_and_leads_on(
     stack: Stack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """H2: 50 imports made `GET /jobs` 786 MB long, and of models 200 were a gigabyte."""
-    monkeypatch.setattr(pages, "_MOST_BYTES", 1000)
+    monkeypatch.setattr(listing, "_MOST_BYTES", 1000)
     for number in range(9):
         stack.store.add(job(f"{number:012x}-0000000000", name=f"{number}" * 200))
     for asked, most in (({}, 4), ({"search": "000"}, 1)):

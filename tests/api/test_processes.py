@@ -15,7 +15,7 @@ import httpx
 import psutil
 import pytest
 
-from core.adapters.connect import job_store
+from core.adapters.wiring import job_store
 from core.jobs.store import JobQuery
 from core.settings import StoreSettings, WorkerSettings
 from gaitway.service.embedded.processes import are_free

@@ -22,7 +22,7 @@ from api.app import build
 from api.errors import MalformedBody
 from api.problems import classes_of_errors, status_of
 from api.submissions import EXAMPLES, parse
-from core.adapters.connect import object_store
+from core.adapters.wiring import object_store
 from core.algorithms.catalog import ALGORITHMS
 from core.environments.catalog import ENVIRONMENTS
 from core.errors import GaitwayError, Rejected
@@ -328,7 +328,7 @@ def _leads_somewhere(pointer: str, document: Any) -> bool:
 
 def test_the_process_is_small_without_a_numerical_stack_and_ends_on_sigterm(tmp_path: Path) -> None:
     probe = (
-        "import sys, api.app, core.adapters.connect\n"
+        "import sys, api.app, core.adapters.wiring\n"
         "found = {'jax', 'jaxlib', 'mujoco', 'numpy', 'brax', 'av'} & set(sys.modules)\n"
         "assert not found, found\n"
         "from api.main import main; main(['--port', '0'])"

@@ -10,9 +10,9 @@ from rq import Queue, SimpleWorker
 from rq.job import Job as RQJob
 from rq.serializers import JSONSerializer
 
-from core.adapters.connect import connect_redis
 from core.adapters.memory.queue import Dispatch, MemoryJobQueue
 from core.adapters.rq.queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_of
+from core.adapters.wiring import connect_redis
 from core.errors import RecordsUnavailable
 from core.jobs.queue import JobQueue, queue_names
 from core.jobs.strays import StrayMessages

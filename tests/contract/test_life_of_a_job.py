@@ -14,8 +14,8 @@ from sqlalchemy import Engine, text
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.connection import connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobFinished, JobNotFinished, JobNotFound, LeaseLost
 from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret

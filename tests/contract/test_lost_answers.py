@@ -10,8 +10,8 @@ import psycopg
 import pytest
 
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.connection import connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobExists, JobNotFound, LeaseLost, RecordsUnavailable, StaleJob
 from core.jobs.attempts import Claim, claim_attempt
 from core.jobs.job import Job, Progress

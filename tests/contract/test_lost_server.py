@@ -13,8 +13,8 @@ import psutil
 import pytest
 
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import DEADLINE_S, connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import DEADLINE_S, connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore

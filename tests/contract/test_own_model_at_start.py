@@ -4,7 +4,7 @@ import hashlib
 from pathlib import Path
 
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.attempts import Claim
 from core.physics.availability import BodySize
 from core.storage import keys

@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy import update
 
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.tables import models
 from core.errors import ModelNotFound
 from core.jobs.reconciliation import Reconciler

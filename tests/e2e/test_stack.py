@@ -20,7 +20,7 @@ import psycopg
 import pytest
 
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.engine import connect_postgres
 from gaitway.service.embedded.postgres import Postgres
 from gaitway.service.embedded.processes import free_ports
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from core.adapters.connect import connect_redis
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.engine import connect_postgres
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
+from core.adapters.wiring import connect_redis
 from core.errors import StorageUnavailable
 from gaitway.service.embedded import postgres as postgres_module
 from gaitway.service.embedded import weed as weed_module

@@ -15,8 +15,8 @@ from rq import SimpleWorker
 from rq.serializers import JSONSerializer
 
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import Unavailable
 from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import claim_attempt, new_secret

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import redis
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler

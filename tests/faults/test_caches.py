@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import StorageUnavailable
 from core.jobs.job import utc_now

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.cohort import shape_of
 from core.jobs.job import Job
 from core.jobs.status import JobStatus

@@ -18,7 +18,7 @@ from typing import Any, Literal
 import pytest
 
 from core.adapters.memory.queue import Dispatch, MemoryJobQueue
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import JobNotFound, LeaseLost, Unavailable
 from core.jobs import feeds, orphans

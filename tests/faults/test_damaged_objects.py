@@ -15,7 +15,7 @@ import pytest
 
 from api.app import create_app
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import JobFailed, JobUnreadable, ObjectDamaged, ObjectNotFound, StorageUnavailable

@@ -13,8 +13,8 @@ import structlog
 from typer.testing import CliRunner
 
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.connection import connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import JobNotFound
 from core.jobs import feeds

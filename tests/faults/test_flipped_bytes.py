@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import ObjectNotFound, StorageUnavailable

@@ -10,7 +10,7 @@ from datetime import timedelta
 import pytest
 import redis
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.jobs.job import utc_now
 from core.jobs.queue import queue_names

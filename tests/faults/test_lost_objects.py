@@ -11,7 +11,7 @@ from pathlib import Path
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.status import JobStatus
 from core.reasons import Reason

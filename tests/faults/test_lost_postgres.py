@@ -15,8 +15,8 @@ import pytest
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.connection import PromptConnection
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import PromptConnection
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobNotFound, RecordsUnavailable
 from core.jobs import feeds
 from core.jobs.acknowledgements import Acknowledgements

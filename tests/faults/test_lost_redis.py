@@ -13,10 +13,10 @@ import redis
 from pydantic import SecretStr
 from structlog.testing import capture_logs
 
-from core.adapters.connect import connect_redis
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
+from core.adapters.wiring import connect_redis
 from core.errors import RecordsUnavailable
 from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret

@@ -3,7 +3,7 @@
 import redis
 
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.reconciliation import Reconciler

@@ -248,7 +248,7 @@ def test_a_redis_in_protected_mode_is_named(environment: pytest.MonkeyPatch, sto
     outer = [address for address in addresses if not address.startswith("127.")]
     if not outer:
         pytest.skip("this machine has no address but the loopback's")
-    from core.adapters.connect import connect_redis
+    from core.adapters.wiring import connect_redis
 
     environment.setenv("GAITWAY_REDIS_WITHOUT_PASSWORD", "true")
     environment.setenv("GAITWAY_REDIS_URL", f"redis://{outer[0]}:{stores.redis_port}")
@@ -322,7 +322,7 @@ def test_a_redis_whose_disk_is_full_is_named(environment: pytest.MonkeyPatch, tm
 
 
 def test_nothing_is_left_in_the_bucket(stores: Stores, environment: pytest.MonkeyPatch) -> None:
-    from core.adapters.connect import object_store
+    from core.adapters.wiring import object_store
     from core.configuration import read
     from core.settings import StoreSettings
 

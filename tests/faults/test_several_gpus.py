@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.status import JobStatus
 from core.reasons import Reason

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.algorithms.ppo.spec import PPOSpec
 from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import utc_now

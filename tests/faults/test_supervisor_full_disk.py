@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.errors import Misconfigured, RecordsUnavailable
 from core.jobs.spec import JOB_SPEC

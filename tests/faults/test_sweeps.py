@@ -12,7 +12,7 @@ import pytest
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import TooManySweeps, Unavailable
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import Artifact, Job, Progress

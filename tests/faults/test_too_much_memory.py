@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from tests.faults.bench import Bench

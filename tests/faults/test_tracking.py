@@ -20,7 +20,7 @@ import pytest
 from pydantic import SecretStr
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.settings import WorkerSettings

@@ -22,7 +22,7 @@ from api.ranges import is_known, requested_range
 from api.routes.jobs import Listed
 from api.submissions import EXAMPLES, fingerprint, parse
 from core.adapters.cursors import check_cursor
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.configuration import read
 from core.environments.mjcf.archive import MAX_TOTAL_BYTES, examine
 from core.environments.mjcf.document import parse as parse_xml

@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from core.adapters.connect import object_store
+from core.adapters.wiring import object_store
 from core.configuration import read
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging

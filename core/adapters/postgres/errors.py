@@ -10,7 +10,6 @@ from psycopg import errors
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
-from core.adapters.postgres.connection import NoAnswer
 from core.errors import RecordsRefuse, RecordsUnavailable
 
 _ADDRESS = "GAITWAY_DATABASE_URL"
@@ -73,6 +72,10 @@ _UNAVAILABLE_BY_CODE: dict[type[psycopg.Error], str] = {
     errors.LockNotAvailable: f"PostgreSQL at {_ADDRESS} waited for a lock for longer than 1.5 s.",
     errors.DeadlockDetected: f"PostgreSQL at {_ADDRESS} ended one of two calls that waited for each other.",
 }
+
+
+class NoAnswer(psycopg.OperationalError):
+    """The server accepts connections and does not answer."""
 
 
 class Breaker:

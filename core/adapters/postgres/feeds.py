@@ -4,17 +4,19 @@ import json
 from collections import defaultdict
 from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from datetime import timedelta
 from tempfile import TemporaryFile
 from typing import Any
 
 from pydantic_core import from_json, to_json
-from sqlalchemy import Column, Connection, Row, TextClause, delete, func, or_, select, text, update
+from sqlalchemy import Column, Connection, TextClause, delete, func, or_, select, text, update
 from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres import rows
+from core.adapters.postgres.engine import Session
 from core.adapters.postgres.tables import NOW, UNFINISHED, chunks, entries, jobs
-from core.errors import StorageUnavailable
+from core.errors import JobNotFound, LeaseLost, StorageUnavailable
 from core.jobs.job import Progress
 from core.jobs.measured import in_rows
 from core.jobs.store import Channel, Chunk, Entry, FeedPart, MeasuredPart
@@ -116,24 +118,97 @@ _BATCH = 1000
 _BATCH_BYTES = 2**20
 
 
-def append_as_attempt(  # noqa: PLR0913 # As in the seam.
-    connection: Connection,
-    job_id: str,
-    token: str,
-    channel: Channel,
-    said: Sequence[Entry],
-    progress: Progress | None,
-    write_id: str,
-) -> bool:
-    """Append for the attempt that holds the job, in one statement; False if it does not hold the job."""
-    values = {
-        "job_id": job_id,
-        "token": token,
-        "channel": channel,
-        "write_id": write_id,
-        **_said(said, progress),
-    }
-    return connection.execute(_APPEND_AS_ATTEMPT[channel], values).first() is not None
+class Feeds(Session):
+    """The part of a JobStore that has the jobs' feeds."""
+
+    def record(
+        self,
+        job_id: str,
+        token: str,
+        channel: Channel,
+        entries: Sequence[Entry],
+        progress: Progress | None = None,
+        *,
+        write_id: str,
+    ) -> None:
+        values = {
+            "job_id": job_id,
+            "token": token,
+            "channel": channel,
+            "write_id": write_id,
+            **_said(entries, progress),
+        }
+        with self._statements() as connection:
+            if connection.execute(_APPEND_AS_ATTEMPT[channel], values).first() is None:
+                raise LeaseLost(job_id)
+
+    def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
+        asked = {"job_id": job_id, "channel": channel, "after": after, "limit": limit, **_AT_ONCE}
+        with self._statements() as connection:
+            found = connection.execute(_READ, asked).first()
+        if found is None:
+            raise JobNotFound(job_id[:64])
+        parts = [Chunk(**chunk) for chunk in found.chunks or ()]
+        if len(parts) > _MAX_CHUNKS:
+            return FeedPart(parts[:_MAX_CHUNKS], (), rows.status(found.status), is_end=False)
+        behind = [_entry_of(*entry) for entry in found.entries or ()]
+        is_end = found.num == len(behind) < limit
+        return FeedPart(parts, behind, rows.status(found.status), is_end=is_end)
+
+    def feed_metrics(self, job_id: str, *, after: int, limit: int) -> MeasuredPart:
+        asked = {"job_id": job_id, "after": after, "limit": limit, **_AT_ONCE}
+        with self._statements() as connection:
+            found = connection.execute(_READ_METRICS, asked).first()
+        if found is None:
+            raise JobNotFound(job_id[:64])
+        parts = [Chunk(**chunk) for chunk in found.chunks or ()]
+        if len(parts) > _MAX_CHUNKS:
+            return MeasuredPart(parts[:_MAX_CHUNKS], (), last=0, is_end=False)
+        behind = in_rows(found.times, f"[{found.data}]") if found.data else ()
+        is_end = found.num == found.num_before_bytes < limit
+        return MeasuredPart(parts, behind, last=found.last or 0, is_end=is_end)
+
+    def long_feeds(self, *, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
+        size = func.sum(func.octet_length(entries.c.data))
+        is_old = func.min(entries.c.stored_at) < NOW - max_age
+        has_ended = func.bool_and(jobs.c.status.notin_(UNFINISHED))
+        due = (
+            select(entries.c.job_id, entries.c.channel)
+            .join(jobs, jobs.c.id == entries.c.job_id)
+            .group_by(entries.c.job_id, entries.c.channel)
+            .having(or_(size >= max_bytes, is_old, has_ended))
+            .order_by(entries.c.job_id)
+            .limit(_MAX_DUE)
+        )
+        with self._transaction() as connection:
+            return [(row.job_id, row.channel) for row in connection.execute(due)]
+
+    def oldest_entries(
+        self, job_id: str, channel: Channel, *, limit: int, max_bytes: int = 2**40
+    ) -> Sequence[Entry]:
+        asked = {"job_id": job_id, "channel": channel, "limit": limit, "bytes": max_bytes}
+        with self._statements() as connection:
+            return [_entry_of(*row) for row in connection.execute(_OLDEST, asked)]
+
+    def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:
+        with self._transaction() as connection:  # So that a reader finds each entry in one place.
+            _replace_by_chunk(connection, job_id, chunk)
+
+    def chunks(self, job_ids: Collection[str]) -> Mapping[str, Sequence[Chunk]]:
+        found: dict[str, list[Chunk]] = defaultdict(list)
+        wanted = select(chunks).where(chunks.c.job_id.in_(job_ids)).order_by(chunks.c.channel, chunks.c.first)
+        with self._statements() as connection:
+            for row in connection.execute(wanted):
+                chunk = Chunk(row.channel, row.first, row.last, row.key, row.size, row.sha256)
+                found[row.job_id].append(chunk)
+        return found
+
+    def replace_chunk(self, job_id: str, lost: Chunk, found: Chunk) -> None:
+        known = update(chunks).where(
+            chunks.c.job_id == job_id, chunks.c.channel == lost.channel, chunks.c.key == lost.key
+        )
+        with self._transaction() as connection:
+            connection.execute(known.values(key=found.key, size=found.size, sha256=found.sha256))
 
 
 def append(
@@ -199,112 +274,26 @@ def _text(entry: Entry) -> str:
     return to_json(entry.data, inf_nan_mode="null").decode()
 
 
-def read(connection: Connection, job_id: str, channel: Channel, after: int, limit: int) -> FeedPart | None:
-    """The chunks that reach beyond `after`; and, if no chunk is left out, the entries after them.
-
-    None if there is no such job.
-    """
-    asked = {"job_id": job_id, "channel": channel, "after": after, "limit": limit, **_AT_ONCE}
-    found = connection.execute(_READ, asked).first()
-    if found is None:
-        return None
-    parts = [Chunk(**chunk) for chunk in found.chunks or ()]
-    if len(parts) > _MAX_CHUNKS:
-        return FeedPart(parts[:_MAX_CHUNKS], (), rows.status(found.status), is_end=False)
-    behind = [_entry_of(*entry) for entry in found.entries or ()]
-    is_end = found.num == len(behind) < limit
-    return FeedPart(parts, behind, rows.status(found.status), is_end=is_end)
-
-
-def read_metrics(connection: Connection, job_id: str, after: int, limit: int) -> MeasuredPart | None:
-    """As `read`, of the metrics in `events` alone."""
-    asked = {"job_id": job_id, "after": after, "limit": limit, **_AT_ONCE}
-    found = connection.execute(_READ_METRICS, asked).first()
-    if found is None:
-        return None
-    parts = [Chunk(**chunk) for chunk in found.chunks or ()]
-    if len(parts) > _MAX_CHUNKS:
-        return MeasuredPart(parts[:_MAX_CHUNKS], (), last=0, is_end=False)
-    behind = in_rows(found.times, f"[{found.data}]") if found.data else ()
-    is_end = found.num == found.num_before_bytes < limit
-    return MeasuredPart(parts, behind, last=found.last or 0, is_end=is_end)
-
-
-def oldest(
-    connection: Connection, job_id: str, channel: Channel, limit: int, max_bytes: int
-) -> Sequence[Entry]:
-    """Entries that lie in no chunk, oldest first."""
-    found = connection.execute(
-        _OLDEST, {"job_id": job_id, "channel": channel, "limit": limit, "bytes": max_bytes}
-    )
-    return [_entry_of(*row) for row in found]
-
-
 def _entry_of(number: int, kind: str, time: Any, data: str) -> Entry:
     """time: a datetime, or text in ISO 8601."""
     return Entry(id=str(number), kind=kind, time=time, data=json.loads(data))
 
 
-def due(connection: Connection, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
-    """Feeds with entries that should lie in a chunk by now."""
-    size = func.sum(func.octet_length(entries.c.data))
-    is_old = func.min(entries.c.stored_at) < NOW - max_age
-    has_ended = func.bool_and(jobs.c.status.notin_(UNFINISHED))
-    found = connection.execute(
-        select(entries.c.job_id, entries.c.channel)
-        .join(jobs, jobs.c.id == entries.c.job_id)
-        .group_by(entries.c.job_id, entries.c.channel)
-        .having(or_(size >= max_bytes, is_old, has_ended))
-        .order_by(entries.c.job_id)
-        .limit(_MAX_DUE)
-    )
-    return [(row.job_id, row.channel) for row in found]
-
-
-def chunks_of(connection: Connection, job_ids: Collection[str]) -> Mapping[str, Sequence[Chunk]]:
-    found: dict[str, list[Chunk]] = defaultdict(list)
-    wanted = select(chunks).where(chunks.c.job_id.in_(job_ids)).order_by(chunks.c.channel, chunks.c.first)
-    for row in connection.execute(wanted):
-        found[row.job_id].append(_chunk_of(row))
-    return found
-
-
 def adopt(connection: Connection, job_id: str, found: Sequence[Chunk]) -> None:
     """Name chunks that were made earlier; entries appended later are numbered after them."""
     for chunk in found:
-        replace_by_chunk(connection, job_id, chunk)
+        _replace_by_chunk(connection, job_id, chunk)
         counter = _NUM[chunk.channel]
         highest = func.greatest(counter, chunk.last)
         connection.execute(update(jobs).where(jobs.c.id == job_id).values({counter.name: highest}))
 
 
-def replace_chunk(connection: Connection, job_id: str, lost: Chunk, found: Chunk) -> None:
-    connection.execute(
-        update(chunks)
-        .where(chunks.c.job_id == job_id, chunks.c.channel == lost.channel, chunks.c.key == lost.key)
-        .values(key=found.key, size=found.size, sha256=found.sha256)
-    )
-
-
-def _chunk_of(row: Row[Any]) -> Chunk:
-    return Chunk(row.channel, row.first, row.last, row.key, row.size, row.sha256)
-
-
-def replace_by_chunk(connection: Connection, job_id: str, chunk: Chunk) -> None:
-    """Needs a transaction, so that a reader finds each entry in one place."""
-    if not _is_there(connection, job_id):
+def _replace_by_chunk(connection: Connection, job_id: str, chunk: Chunk) -> None:
+    if not rows.hold_job(connection, job_id):
         return
     named = connection.execute(
         insert(chunks)
-        .values(
-            job_id=job_id,
-            channel=chunk.channel,
-            first=chunk.first,
-            last=chunk.last,
-            key=chunk.key,
-            size=chunk.size,
-            sha256=chunk.sha256,
-        )
+        .values(job_id=job_id, **asdict(chunk))
         .on_conflict_do_nothing()
         .returning(chunks.c.first)
     ).first()
@@ -316,9 +305,3 @@ def replace_by_chunk(connection: Connection, job_id: str, chunk: Chunk) -> None:
                 entries.c.number.between(chunk.first, chunk.last),
             )
         )
-
-
-def _is_there(connection: Connection, job_id: str) -> bool:
-    """Whether the job exists; if so, it is locked against deletion until the end of the transaction."""
-    wanted = select(jobs.c.id).where(jobs.c.id == job_id).with_for_update(read=True, key_share=True)
-    return connection.execute(wanted).first() is not None

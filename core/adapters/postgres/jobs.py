@@ -1,83 +1,69 @@
-"""The record in PostgreSQL."""
+"""The jobs of the record, from submission to deletion."""
 
+import hashlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import timedelta
+from functools import cache
+from typing import Any, NoReturn
 
 from psycopg.errors import UniqueViolation
-from sqlalchemy import Engine, select
+from sqlalchemy import (
+    Boolean,
+    Connection,
+    any_,
+    bindparam,
+    case,
+    delete,
+    exists,
+    literal,
+    select,
+    union_all,
+    update,
+)
+from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.exc import DataError, IntegrityError
 
 from core.adapters.cursors import check_cursor
-from core.adapters.postgres import (
-    copies,
+from core.adapters.postgres import feeds, leases, listing, rows
+from core.adapters.postgres.engine import Session
+from core.adapters.postgres.tables import (
+    NOW,
+    UNFINISHED,
+    artifacts,
+    attempts,
+    chunks,
     deletions,
-    dispatch,
-    feeds,
-    leases,
-    listing,
-    loading,
-    models,
-    pages,
-    references,
-    saving,
-    submissions,
-    workers,
+    dispatches,
+    idempotency_keys,
+    jobs,
 )
-from core.adapters.postgres.clock import Clock
-from core.adapters.postgres.model_part import PostgresModels
-from core.adapters.postgres.sweep_part import PostgresSweeps
-from core.adapters.postgres.tables import NOW, pulse
-from core.adapters.postgres.worker_part import PostgresWorkers
-from core.errors import JobExists, JobNotFound, JobUnreadable, LeaseLost
-from core.jobs.job import Job, Progress, UnreadableJob, check_job_id
-from core.jobs.queue import MOST_WAITING, all_queues
+from core.errors import IdempotencyKeyReused, JobExists, JobInUse, JobNotFound, JobUnreadable, StaleJob
+from core.jobs.entries import status_entry
+from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id, utc_now
 from core.jobs.status import JobStatus
-from core.jobs.store import (
-    Channel,
-    Chunk,
-    Dispatch,
-    Entry,
-    FeedPart,
-    Idempotency,
-    JobQuery,
-    Mark,
-    MeasuredPart,
-    Page,
+from core.jobs.store import Chunk, Entry, Idempotency, JobQuery, Mark, Page
+
+KEYS_REMEMBERED = timedelta(hours=24)
+# Rows of one call, which has two seconds: an import of 5,000 files was refused as an outage.
+_AT_ONCE = 500
+_JOBS_OF = select(jobs).where(jobs.c.id == any_(rows.IDS))
+_MARKS_OF = select(jobs.c.id, jobs.c.version, jobs.c.num_events, jobs.c.num_logs).where(
+    jobs.c.id == any_(rows.IDS)
 )
 
-# Built once: it is a part of every claim.
-_SELECT_NOW = select(NOW)
 
-
-class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
-    """A SweepStore, and so a JobStore, for many processes; thread-safe.
-
-    Each method is one transaction, or a few statements that are one each; the statements are in the modules
-    beside this one. clock_age: how long `now` extrapolates from the database's last answer.
-    """
-
-    def __init__(self, engine: Engine, *, clock_age: timedelta = timedelta(seconds=1)) -> None:
-        super().__init__(engine)
-        self._clock = Clock(self._time, clock_age)
-
-    def close(self) -> None:
-        """Give the connections back."""
-        self._engine.dispose()
-
-    def now(self) -> datetime:
-        return self._clock.now()
-
-    # ---- jobs ------------------------------------------------------------------------------------
+class Jobs(Session):
+    """The part of a JobStore that has the jobs themselves."""
 
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
+        # A job that was never tried is one statement.
+        source = job.spec.source if job.status == JobStatus.QUEUED else None
+        is_more = bool(job.attempts or job.artifacts or source)
         try:
-            # A job that was never tried is one statement.
-            source = job.spec.source if job.status == JobStatus.QUEUED else None
-            is_more = bool(job.attempts or job.artifacts or source)
             with self._transaction() if is_more else self._statements() as connection:
-                if source is not None:
-                    deletions.hold_source(connection, source.job)
-                if submissions.add(connection, job, idempotency):
+                if source is not None and not rows.hold_job(connection, source.job):
+                    raise JobNotFound(source.job)
+                if add_job(connection, job, idempotency):
                     return job
         except IntegrityError:
             raise JobExists(job.id) from None
@@ -99,7 +85,7 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
                 feeds.prepared(logs) as printed,
                 self._transaction(is_large=True) as connection,
             ):
-                if not submissions.add(connection, job, idempotency):
+                if not add_job(connection, job, idempotency):
                     return False
                 feeds.append_all(connection, job.id, "events", said)
                 feeds.append_all(connection, job.id, "logs", printed)
@@ -112,176 +98,260 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
         return True
 
     def remembered(self, idempotency: Idempotency) -> Job | None:
+        known = select(idempotency_keys).where(
+            idempotency_keys.c.key_hash == hashed(idempotency.key), idempotency_keys.c.forgotten_at > NOW
+        )
         with self._statements() as connection:
-            job_id = submissions.remembered(connection, idempotency)
-            return None if job_id is None else loading.readable(loading.find(connection, job_id))
+            row = connection.execute(known).first()
+            if row is None:
+                return None
+            if row.fingerprint != idempotency.fingerprint:
+                raise IdempotencyKeyReused(idempotency.key)
+            return rows.readable(rows.find_job(connection, row.job_id))
 
     def find(self, job_id: str) -> Job | UnreadableJob:
         with self._statements() as connection:
-            return loading.find(connection, check_job_id(job_id))
+            return rows.find_job(connection, check_job_id(job_id))
 
     def get(self, job_id: str) -> Job:
-        return loading.readable(self.find(job_id))
+        return rows.readable(self.find(job_id))
 
     def save(self, job: Job, *, lease: timedelta | None = None) -> None:
         with self._transaction() as connection:
-            saving.save(connection, job, lease=lease)
+            _save(connection, job, lease=lease)
 
     def take_back(self, job: Job) -> None:
         with self._transaction() as connection:
-            saving.save(connection, job, leases.is_over())
+            _save(connection, job, leases.is_over())
 
     def delete(self, job_id: str, version: int) -> None:
+        gone = delete(jobs).where(jobs.c.id == job_id, jobs.c.version == version).returning(jobs.c.id)
         with self._transaction() as connection:
-            deletions.begin(connection, job_id, version)
+            # With `hold_job`: whoever comes second waits here, and then sees what the first one did.
+            connection.execute(select(jobs.c.id).where(jobs.c.id == job_id).with_for_update())
+            if borrowers := [row.id for row in connection.execute(_borrowers_of(job_id))]:
+                raise JobInUse(job_id, borrowers)
+            if connection.execute(gone).first() is None:
+                _refuse(connection, job_id)
+            leases.forget_dispatch(connection, job_id)
+            connection.execute(insert(deletions).values(job_id=job_id, begun_at=NOW))
 
     def deletions(self, *, before: timedelta = timedelta(0)) -> Sequence[str]:
+        old = select(deletions.c.job_id).where(deletions.c.begun_at <= NOW - before)
         with self._statements() as connection:
-            return deletions.begun(connection, before)
+            return connection.execute(old.order_by(deletions.c.job_id)).scalars().all()
 
     def deletion_ended(self, job_id: str) -> None:
         with self._statements() as connection:
-            deletions.ended(connection, job_id)
+            connection.execute(delete(deletions).where(deletions.c.job_id == job_id))
 
     def list(
         self, query: JobQuery, *, cursor: str | None = None, limit: int = 50, brief: bool = False
     ) -> Page:
         before = None if cursor is None else check_cursor(cursor)
         with self._statements() as connection:
-            rows = listing.newest(connection, query, before, limit + 1)
-            found = loading.of_rows(connection, rows[:limit], brief=brief)
-        return Page(found, found[-1].id if pages.has_more(rows, len(found)) else None)
+            found = listing.newest(connection, query, before, limit + 1)
+            page = rows.jobs_of_rows(connection, found[:limit], brief=brief)
+        return Page(page, page[-1].id if listing.has_more(found, len(page)) else None)
+
+    def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
+        if not job_ids:
+            return {}
+        with self._statements() as connection:
+            found = connection.execute(_JOBS_OF, {"ids": [*job_ids]}).all()
+            return {job.id: job for job in rows.jobs_of_rows(connection, found)}
 
     def marks(self, job_ids: Collection[str]) -> Mapping[str, Mark]:
         with self._statements() as connection:
-            return loading.marks(connection, job_ids)
+            found = connection.execute(_MARKS_OF, {"ids": [*job_ids]}).all()
+        return {row.id: Mark(row.version, row.num_events, row.num_logs) for row in found}
 
     def users_of(self, model_id: str) -> Sequence[str]:
+        wanted = select(jobs.c.id).where(jobs.c.status.in_(UNFINISHED), jobs.c.model == model_id)
         with self._statements() as connection:
-            return references.users_of(connection, model_id)
+            return connection.execute(wanted.order_by(jobs.c.id)).scalars().all()
 
     def borrowers_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
         with self._statements() as connection:
-            return references.borrowers_of(connection, job_id)
+            return [(row.id, row.source_step) for row in connection.execute(_borrowers_of(job_id))]
 
     def objects_named(self, job_ids: Collection[str]) -> Collection[str]:
+        named = [select(table.c.key).where(table.c.job_id.in_(job_ids)) for table in (artifacts, chunks)]
         with self._statements() as connection:
-            return references.objects_named(connection, job_ids)
-
-    # ---- copies in the object store --------------------------------------------------------------
+            return set(connection.execute(union_all(*named)).scalars())
 
     def uncopied(self, *, limit: int) -> Sequence[Job | UnreadableJob]:
+        wanted = select(jobs).where(jobs.c.copied_version != jobs.c.version, jobs.c.num_attempts > 0)
         with self._statements() as connection:
-            return copies.uncopied(connection, limit)
+            found = connection.execute(wanted.order_by(jobs.c.id).limit(limit)).all()
+            return rows.jobs_of_rows(connection, found)
 
     def copied(self, job_id: str, version: int) -> bool:
+        marked = update(jobs).where(jobs.c.id == job_id).values(copied_version=version).returning(jobs.c.id)
         with self._statements() as connection:
-            return copies.copied(connection, job_id, version)
+            return connection.execute(marked).first() is not None
 
     def restore(self, job: Job, *, replaces: int | None, note: str, chunks: Sequence[Chunk] = ()) -> None:
+        said = [Entry(kind="note", time=utc_now(), data={"text": note})]
         try:
             with self._transaction() as connection:
-                copies.restore(connection, job, replaces, note, chunks)
+                if replaces is None:
+                    connection.execute(insert(jobs).values(rows.new_job_values(job)))
+                elif _replace(connection, job, replaces).status != job.status:
+                    said.append(status_entry(job))
+                _write_attempts(connection, job.id, job.attempts)
+                _write_artifacts(connection, job)
+                feeds.adopt(connection, job.id, chunks)
+                feeds.append(connection, job.id, "events", said, job.progress)
+                leases.update_dispatch(connection, job)
         except IntegrityError:
             raise JobExists(job.id) from None
 
-    # ---- leases ----------------------------------------------------------------------------------
 
-    def renew(self, job_id: str, token: str, lease: timedelta) -> JobStatus:
-        with self._statements() as connection:
-            return leases.renew(connection, job_id, token, lease)
+def hashed(key: str) -> str:
+    """The hash under which an idempotency key is stored."""
+    return hashlib.sha256(key.encode("utf-8", "surrogatepass")).hexdigest()
 
-    def expired(self) -> Iterable[Job]:
-        with self._statements() as connection:
-            return leases.expired(connection)
 
-    def beat(self, lease: timedelta) -> None:
-        with self._transaction() as connection:
-            leases.beat(connection, lease)
+# ---- A new job: its row, dispatch and key are one statement, which is its own transaction and is built once.
+# ---- BEGIN, COMMIT and building it again would take most of a submission's time.
 
-    # ---- dispatches ------------------------------------------------------------------------------
 
-    def waiting(
-        self, room: Mapping[str, int] | None = None, but_not: Collection[tuple[str, int]] = ()
-    ) -> Sequence[Dispatch]:
-        room = dict.fromkeys(all_queues(), MOST_WAITING) if room is None else room
-        with self._statements() as connection:
-            return [*dispatch.waiting(connection, room, but_not), *models.waiting(connection)]
+def add_job(connection: Connection, job: Job, idempotency: Idempotency | None = None) -> bool:
+    """Add the job with its attempts and artifacts; False if its key is remembered, and nothing was added.
 
-    def undispatched(self) -> Sequence[Dispatch]:
-        with self._statements() as connection:
-            return dispatch.undispatched(connection)
+    The second of two submissions with one key waits until the first is committed or rolled back.
+    Raises IntegrityError if the id exists.
+    """
+    row = rows.new_job_values(job)
+    values = {**row, "attempt": job.next_attempt, "is_queued": job.status == JobStatus.QUEUED}
+    if idempotency is not None:
+        values |= {"key_hash": hashed(idempotency.key), "fingerprint": idempotency.fingerprint}
+    statement = _insertion(tuple(row), has_key=idempotency is not None)
+    is_new = connection.execute(statement, values).first() is not None
+    if is_new:
+        _write_attempts(connection, job.id, job.attempts)
+        if job.artifacts:
+            _write_artifacts(connection, job)
+    return is_new
 
-    def dispatched(self, dispatches: Sequence[Dispatch]) -> None:
-        if dispatches:
-            with self._statements() as connection:
-                dispatch.remove(connection, dispatches)
 
-    # ---- feeds -----------------------------------------------------------------------------------
+@cache
+def _insertion(names: tuple[str, ...], *, has_key: bool) -> Any:
+    columns = [jobs.c[name] for name in names]
+    new = select(*(bindparam(column.name, type_=column.type) for column in columns))
+    if has_key:
+        new = new.where(exists(select(_new_key().c.job_id)))
+    job = insert(jobs).from_select(columns, new).returning(jobs.c.id).cte("job")
+    attempt = bindparam("attempt", type_=dispatches.c.attempt.type)
+    waits = select(literal("attempt"), job.c.id, attempt, NOW).where(bindparam("is_queued", type_=Boolean))
+    dispatch = insert(dispatches).from_select([*dispatches.c], waits).on_conflict_do_nothing()
+    return select(job.c.id).add_cte(dispatch.cte("dispatch"))
 
-    def record(
-        self,
-        job_id: str,
-        token: str,
-        channel: Channel,
-        entries: Sequence[Entry],
-        progress: Progress | None = None,
-        *,
-        write_id: str,
-    ) -> None:
-        with self._statements() as connection:
-            if not feeds.append_as_attempt(connection, job_id, token, channel, entries, progress, write_id):
-                raise LeaseLost(job_id)
 
-    def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
-        with self._statements() as connection:
-            found = feeds.read(connection, job_id, channel, after, limit)
-        if found is None:
-            raise JobNotFound(job_id[:64])
-        return found
+def _new_key() -> Any:
+    said: dict[str, Any] = {
+        "fingerprint": bindparam("fingerprint"),
+        "job_id": bindparam("id"),
+        "forgotten_at": NOW + KEYS_REMEMBERED,
+    }
+    return (
+        insert(idempotency_keys)
+        .values(key_hash=bindparam("key_hash"), **said)
+        .on_conflict_do_update(
+            index_elements=["key_hash"], set_=said, where=idempotency_keys.c.forgotten_at <= NOW
+        )
+        .returning(idempotency_keys.c.job_id)
+        .cte("key")
+    )
 
-    def feed_metrics(self, job_id: str, *, after: int, limit: int) -> MeasuredPart:
-        with self._statements() as connection:
-            found = feeds.read_metrics(connection, job_id, after, limit)
-        if found is None:
-            raise JobNotFound(job_id[:64])
-        return found
 
-    def long_feeds(self, *, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
-        with self._transaction() as connection:
-            return feeds.due(connection, max_bytes, max_age)
+# ---- The next version of a job, written if the stored version is the one before. -------------------------
 
-    def oldest_entries(
-        self, job_id: str, channel: Channel, *, limit: int, max_bytes: int = 2**40
-    ) -> Sequence[Entry]:
-        with self._statements() as connection:
-            return feeds.oldest(connection, job_id, channel, limit, max_bytes)
 
-    def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:
-        with self._transaction() as connection:
-            feeds.replace_by_chunk(connection, job_id, chunk)
+def _save(connection: Connection, job: Job, *conditions: Any, lease: timedelta | None = None) -> None:
+    """Write the job, its attempts and artifacts, the event and the dispatch of a change of status.
 
-    def chunks(self, job_ids: Collection[str]) -> Mapping[str, Sequence[Chunk]]:
-        with self._statements() as connection:
-            return feeds.chunks_of(connection, job_ids)
+    Raises StaleJob, JobNotFound.
+    """
+    before = _replace(connection, job, job.version - 1, *conditions, lease=lease)
+    # A step changes the last attempt, or the one before it.
+    _write_attempts(connection, job.id, job.attempts[-2:])
+    if job.artifacts or before.has_artifacts:
+        _write_artifacts(connection, job)
+    if before.status != job.status:
+        feeds.append(connection, job.id, "events", [status_entry(job)])
+    if JobStatus.QUEUED in (before.status, job.status):
+        leases.update_dispatch(connection, job)
 
-    def replace_chunk(self, job_id: str, lost: Chunk, found: Chunk) -> None:
-        with self._transaction() as connection:
-            feeds.replace_chunk(connection, job_id, lost, found)
 
-    # ---- upkeep ----------------------------------------------------------------------------------
+def _replace(
+    connection: Connection, job: Job, version: int, *conditions: Any, lease: timedelta | None = None
+) -> Any:
+    """Replace this version in the job's own row; returns the `status` from before, and `has_artifacts`.
 
-    def tidy(self) -> None:
-        with self._transaction() as connection:
-            submissions.forget_old_keys(connection)
-            workers.forget_gone(connection)
+    Raises StaleJob, JobNotFound.
+    """
+    values = rows.job_values(job)
+    # A lease belongs to the present attempt; a change of hands ends the one before.
+    same_holder = jobs.c.token == job.token
+    kept = case((same_holder, jobs.c.lease_until), else_=None) if job.token else None
+    values["lease_until"] = NOW + rows.interval(lease) if lease is not None and job.token else kept
+    before = select(jobs.c.status).where(jobs.c.id == job.id).scalar_subquery()
+    has_artifacts = exists().where(artifacts.c.job_id == job.id)
+    changed = connection.execute(
+        update(jobs)
+        .where(jobs.c.id == job.id, jobs.c.version == version, *conditions)
+        .values(values)
+        .returning(before.label("status"), has_artifacts.label("has_artifacts"))
+    ).first()
+    if changed is None:
+        _refuse(connection, job.id)
+    return changed
 
-    def ping(self) -> None:
-        with self._statements() as connection:
-            connection.execute(select(pulse.c.id))
 
-    # ---- inside ----------------------------------------------------------------------------------
+def _write_attempts(connection: Connection, job_id: str, changed: Sequence[Attempt]) -> None:
+    if not changed:
+        return
+    statement = insert(attempts)
+    changes = {
+        column.name: statement.excluded[column.name] for column in attempts.c if not column.primary_key
+    }
+    connection.execute(
+        statement.on_conflict_do_update(index_elements=["job_id", "number"], set_=changes),
+        [rows.attempt_values(job_id, attempt) for attempt in changed],
+    )
 
-    def _time(self) -> datetime:
-        with self._statements() as connection:
-            return connection.execute(_SELECT_NOW).scalar_one()
+
+def _write_artifacts(connection: Connection, job: Job) -> None:
+    stored = connection.execute(
+        select(artifacts.c.name, artifacts.c.position, artifacts.c.key).where(artifacts.c.job_id == job.id)
+    ).all()
+    have = {row.name: row for row in stored}
+    if gone := have.keys() - {artifact.name for artifact in job.artifacts}:
+        connection.execute(delete(artifacts).where(artifacts.c.job_id == job.id, artifacts.c.name.in_(gone)))
+    top = max((row.position for row in stored), default=0)
+    new = list[rows.Values]()
+    for artifact in job.artifacts:
+        known = have.get(artifact.name)
+        if known is None:
+            top += 1
+        if known is None or known.key != artifact.key:
+            new.append(rows.artifact_values(job.id, top if known is None else known.position, artifact))
+    if new:
+        statement = insert(artifacts)
+        changes = {name: statement.excluded[name] for name in new[0] if name not in ("job_id", "name")}
+        write = statement.on_conflict_do_update(index_elements=["job_id", "name"], set_=changes)
+        for at in range(0, len(new), _AT_ONCE):
+            connection.execute(write, new[at : at + _AT_ONCE])
+
+
+def _borrowers_of(job_id: str) -> Any:
+    wanted = select(jobs.c.id, jobs.c.source_step)
+    return wanted.where(jobs.c.status.in_(UNFINISHED), jobs.c.source == job_id).order_by(jobs.c.id)
+
+
+def _refuse(connection: Connection, job_id: str) -> NoReturn:
+    if connection.execute(select(jobs.c.id).where(jobs.c.id == job_id)).first() is None:
+        raise JobNotFound(job_id[:64])
+    raise StaleJob(job_id)

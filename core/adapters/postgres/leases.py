@@ -1,38 +1,110 @@
-"""Leases: how long an attempt holds a job, by the database's clock, and when a job may be taken from it."""
+"""Which jobs wait for a worker, and which attempt holds one: dispatches and leases.
 
-from collections.abc import Sequence
+A job that waits has a dispatch until RQ knows of it. Leases are by the database's clock.
+"""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict
 from datetime import timedelta
 from typing import Any
 
-from sqlalchemy import Connection, and_, case, or_, select, update
+import structlog
+from sqlalchemy import (
+    ARRAY,
+    Connection,
+    Integer,
+    Text,
+    all_,
+    and_,
+    bindparam,
+    case,
+    delete,
+    func,
+    not_,
+    or_,
+    select,
+    true,
+    update,
+)
 from sqlalchemy.dialects.postgresql import insert
 
-from core.adapters.postgres import loading, rows
-from core.adapters.postgres.tables import NOW, jobs, pulse
+from core.adapters.postgres import models
+from core.adapters.postgres.engine import Session
+from core.adapters.postgres.rows import HELD, interval, jobs_of_rows
+from core.adapters.postgres.tables import NOW, dispatches, jobs, pulse
 from core.errors import LeaseLost
-from core.jobs.job import Job
+from core.jobs.attempts import PAUSES
+from core.jobs.job import Job, UnreadableJob
+from core.jobs.queue import MOST_WAITING, all_queues
 from core.jobs.status import JobStatus
+from core.jobs.store import Dispatch
 
-HELD = tuple(status.value for status in JobStatus if status.is_held)
+log = structlog.get_logger()
 
-
-def renew(connection: Connection, job_id: str, token: str, lease: timedelta) -> JobStatus:
-    """Prolong the lease of the attempt with this token; the job's status. Raises LeaseLost."""
-    status = connection.execute(
-        update(jobs)
-        .where(jobs.c.id == job_id, jobs.c.token == token, jobs.c.token != "")
-        .values(lease_until=NOW + rows.interval(lease))
-        .returning(jobs.c.status)
-    ).scalar()
-    if status is None:
-        raise LeaseLost(job_id)
-    return JobStatus(status)
+# Built once: it is a part of every submission.
+_REMOVE = delete(dispatches).where(
+    dispatches.c.task == bindparam("task"),
+    dispatches.c.subject == bindparam("subject"),
+    dispatches.c.attempt == bindparam("attempt"),
+)
 
 
-def expired(connection: Connection) -> Sequence[Job]:
-    """Every readable job that may be taken from its attempt, oldest first."""
-    wanted = select(jobs).where(jobs.c.status.in_(HELD), is_over()).order_by(jobs.c.id)
-    return loading.without_unreadable(loading.of_rows(connection, connection.execute(wanted).all()))
+class Leases(Session):
+    """The part of a JobStore that decides who works on a job."""
+
+    def renew(self, job_id: str, token: str, lease: timedelta) -> JobStatus:
+        held = update(jobs).where(jobs.c.id == job_id, jobs.c.token == token, jobs.c.token != "")
+        renewed = held.values(lease_until=NOW + interval(lease)).returning(jobs.c.status)
+        with self._statements() as connection:
+            status = connection.execute(renewed).scalar()
+        if status is None:
+            raise LeaseLost(job_id)
+        return JobStatus(status)
+
+    def expired(self) -> Iterable[Job]:
+        wanted = select(jobs).where(jobs.c.status.in_(HELD), is_over()).order_by(jobs.c.id)
+        with self._statements() as connection:
+            found = jobs_of_rows(connection, connection.execute(wanted).all())
+        for job in found:
+            if isinstance(job, UnreadableJob):
+                log.warning("job_unreadable", job_id=job.id, problem=job.problem)
+        return [job for job in found if isinstance(job, Job)]
+
+    def beat(self, lease: timedelta) -> None:
+        silence = NOW - pulse.c.beat_at
+        was_away = or_(silence > lease / 2, silence < timedelta(0))
+        longest, quiet_until = interval(lease / 2), NOW + interval(lease)
+        # The row is missing after all tables were emptied.
+        beat = insert(pulse).values(id=1, beat_at=NOW, longest_silence=longest, quiet_until=quiet_until)
+        again = {
+            "beat_at": NOW,
+            "longest_silence": longest,
+            "quiet_until": case((was_away, quiet_until), else_=pulse.c.quiet_until),
+        }
+        # After the clock was set back: a lease that ends more than four leases from now is cut to one.
+        too_long = update(jobs).where(jobs.c.status.in_(HELD), jobs.c.lease_until > NOW + 4 * lease)
+        with self._transaction() as connection:
+            connection.execute(beat.on_conflict_do_update(index_elements=["id"], set_=again))
+            connection.execute(too_long.values(lease_until=NOW + interval(lease)))
+
+    def waiting(
+        self, room: Mapping[str, int] | None = None, but_not: Collection[tuple[str, int]] = ()
+    ) -> Sequence[Dispatch]:
+        room = dict.fromkeys(all_queues(), MOST_WAITING) if room is None else room
+        with self._statements() as connection:
+            return [*_waiting(connection, room, but_not), *models.waiting(connection)]
+
+    def undispatched(self) -> Sequence[Dispatch]:
+        of_jobs = dispatches.outerjoin(jobs, dispatches.c.subject.collate("C") == jobs.c.id)
+        wanted = select(dispatches).select_from(of_jobs).where(_is_due())
+        with self._statements() as connection:
+            found = connection.execute(wanted.order_by(dispatches.c.created_at).limit(1000)).all()
+        return [Dispatch(row.task, row.subject, row.attempt) for row in found]
+
+    def dispatched(self, dispatches: Sequence[Dispatch]) -> None:
+        if dispatches:
+            with self._statements() as connection:
+                connection.execute(_REMOVE, [asdict(dispatch) for dispatch in dispatches])
 
 
 def is_over() -> Any:
@@ -45,27 +117,53 @@ def is_over() -> Any:
     return and_(is_run_out, select(is_watched).scalar_subquery())
 
 
-def beat(connection: Connection, lease: timedelta) -> None:
-    """Record that leases are watched; after a silence of half a lease, attempts get a lease to renew."""
-    silence = NOW - pulse.c.beat_at
-    was_away = or_(silence > lease / 2, silence < timedelta(0))
-    longest, quiet_until = rows.interval(lease / 2), NOW + rows.interval(lease)
-    connection.execute(
-        # The row is missing after all tables were emptied.
-        insert(pulse)
-        .values(id=1, beat_at=NOW, longest_silence=longest, quiet_until=quiet_until)
-        .on_conflict_do_update(
-            index_elements=["id"],
-            set_={
-                "beat_at": NOW,
-                "longest_silence": longest,
-                "quiet_until": case((was_away, quiet_until), else_=pulse.c.quiet_until),
-            },
+def update_dispatch(connection: Connection, job: Job) -> None:
+    """Add a dispatch for a job that waits for a worker; remove it for any other."""
+    if job.status == JobStatus.QUEUED:
+        connection.execute(
+            insert(dispatches)
+            .values(task="attempt", subject=job.id, attempt=job.next_attempt, created_at=NOW)
+            .on_conflict_do_nothing()
         )
-    )
-    # After the clock was set back: a lease that ends more than four leases from now is cut to one.
+    else:
+        forget_dispatch(connection, job.id)
+
+
+def forget_dispatch(connection: Connection, job_id: str) -> None:
     connection.execute(
-        update(jobs)
-        .where(jobs.c.status.in_(HELD), jobs.c.lease_until > NOW + 4 * lease)
-        .values(lease_until=NOW + rows.interval(lease))
+        delete(dispatches).where(dispatches.c.task == "attempt", dispatches.c.subject == job_id)
     )
+
+
+def _waiting(
+    connection: Connection, room: Mapping[str, int], but_not: Collection[tuple[str, int]]
+) -> Sequence[Dispatch]:
+    """For each queue the oldest jobs that may begin, as many as it has room for, in the order of `room`.
+
+    Its rows are found by the index `jobs_queued`: however many wait, only these are read.
+    """
+    wanted = func.unnest(bindparam("names", type_=ARRAY(Text)), bindparam("rooms", type_=ARRAY(Integer)))
+    wanted = wanted.table_valued("name", "room", with_ordinality="place").render_derived("wanted")
+    attempt, no = jobs.c.num_attempts + 1, bindparam("but_not", type_=ARRAY(Text))
+    is_wanted = func.concat(jobs.c.id, " ", attempt) != all_(no)
+    due = select(jobs.c.id, attempt.label("attempt")).where(jobs.c.status == "queued", _is_due(), is_wanted)
+    of_queue = due.where(jobs.c.queue == wanted.c.name).order_by(jobs.c.queue, jobs.c.id).limit(wanted.c.room)
+    found = of_queue.lateral("found")
+    ordered = select(found).select_from(wanted.join(found, true())).order_by(wanted.c.place, found.c.id)
+    without = due.where(jobs.c.queue.is_(None)).order_by(jobs.c.id).limit(max(room.values(), default=0))
+    said = {
+        "names": list(room),
+        "rooms": list(room.values()),
+        "but_not": [f"{job_id} {attempt}" for job_id, attempt in but_not],
+    }
+    rows = [*connection.execute(ordered, said), *connection.execute(without, said)]
+    return [Dispatch("attempt", *row) for row in rows]
+
+
+def _is_due() -> Any:
+    """Whether a job may be tried now.
+
+    A `not_before` further ahead than the longest pause was set before the clock was set back; it is ignored.
+    """
+    not_yet = and_(jobs.c.not_before > NOW, jobs.c.not_before <= NOW + max(PAUSES))
+    return or_(jobs.c.not_before.is_(None), not_(not_yet))

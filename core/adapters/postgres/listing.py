@@ -1,21 +1,24 @@
-"""Listings that stay fast among a million jobs, whatever their filters."""
+"""Listings that stay fast among a million jobs, whatever their filters.
+
+Their pages end at a number of rows, or at a number of bytes: rows may be long.
+"""
 
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Subquery, Table, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, Subquery, Table, func, or_, select
 
-from core.adapters.postgres import pages
 from core.adapters.postgres.tables import jobs
 from core.jobs.store import JobQuery
 
 # How many of the newest jobs are checked one by one, which takes 5 ms.
 _NEAR = 20_000
+_MOST_BYTES = 2**22
 _COLUMNS = ("status", "kind", "environment", "name")
 
 
 def newest(connection: Connection, query: JobQuery, before: str | None, limit: int) -> Sequence[Row[Any]]:
-    """The newest jobs that match, of those with ids below `before`; fewer where they are long (`pages`).
+    """The newest jobs that match, of those with ids below `before`; fewer where they are long (`by_bytes`).
 
     A single condition has an index in the order of ids. Few jobs or none may match several conditions, which
     the planner cannot know: it would walk through all jobs. So the newest jobs are tried first. If too few of
@@ -24,11 +27,11 @@ def newest(connection: Connection, query: JobQuery, before: str | None, limit: i
     conditions = _conditions(query, jobs)
     if len(conditions) > 1 or query.labels or query.search:
         found = connection.execute(_among_the_newest(query, before, limit)).all()
-        if pages.has_more(found, limit - 1) or not _has_more(connection, before):
+        if has_more(found, limit - 1) or not _has_more(connection, before):
             return found
         return connection.execute(_collected(query, before, limit)).all()
     wanted = select(jobs).where(*conditions, *_below(before)).order_by(jobs.c.id.desc()).limit(limit)
-    return connection.execute(pages.by_bytes(wanted, _size(jobs), "id")).all()
+    return connection.execute(by_bytes(wanted, _size(jobs), "id")).all()
 
 
 def _size(table: Table | Subquery) -> ColumnElement[int]:
@@ -38,7 +41,7 @@ def _size(table: Table | Subquery) -> ColumnElement[int]:
 def _among_the_newest(query: JobQuery, before: str | None, limit: int) -> Any:
     near = select(jobs).where(*_below(before)).order_by(jobs.c.id.desc()).limit(_NEAR).subquery("near")
     wanted = select(near).where(*_conditions(query, near)).order_by(near.c.id.desc()).limit(limit)
-    return pages.by_bytes(wanted, _size(near), "id")
+    return by_bytes(wanted, _size(near), "id")
 
 
 def _has_more(connection: Connection, before: str | None) -> bool:
@@ -51,7 +54,7 @@ def _collected(query: JobQuery, before: str | None, limit: int) -> Any:
     matches = select(jobs.c.id).where(*_conditions(query, jobs), *_below(before)).cte("matches")
     matches = matches.prefix_with("MATERIALIZED")
     wanted = select(jobs).join(matches, jobs.c.id == matches.c.id).order_by(jobs.c.id.desc()).limit(limit)
-    return pages.by_bytes(wanted, _size(jobs), "id")
+    return by_bytes(wanted, _size(jobs), "id")
 
 
 def _conditions(query: JobQuery, table: Table | Subquery) -> list[ColumnElement[bool]]:
@@ -67,3 +70,21 @@ def _conditions(query: JobQuery, table: Table | Subquery) -> list[ColumnElement[
 
 def _below(before: str | None) -> list[ColumnElement[bool]]:
     return [] if before is None else [jobs.c.id < before]
+
+
+def by_bytes(wanted: Select[Any], size: ColumnElement[int], *order: str) -> Select[Any]:
+    """As many of the first rows as have some mebibytes, at least one. order: columns, each descending.
+
+    Each row also says how many there would be: `page_found`.
+    """
+    found = wanted.add_columns(size.label("page_bytes")).subquery("found")
+    downwards = [found.c[name].desc() for name in order]
+    up_to = func.sum(found.c.page_bytes).over(order_by=downwards, rows=(None, 0))
+    sums = select(found, up_to.label("page_sum"), func.count().over().label("page_found")).subquery("sums")
+    within = sums.c.page_sum - sums.c.page_bytes < _MOST_BYTES
+    return select(sums).where(within).order_by(*(sums.c[name].desc() for name in order))
+
+
+def has_more(found: Sequence[Row[Any]], kept: int) -> bool:
+    """Whether there were more rows than are kept of these, which `by_bytes` gave."""
+    return bool(found) and found[0].page_found > kept

@@ -9,51 +9,92 @@ from pydantic import ValidationError
 from sqlalchemy import Connection, Row, delete, func, select, tuple_, update
 from sqlalchemy.dialects.postgresql import insert
 
-from core.adapters.postgres import pages
+from core.adapters.cursors import check_model_cursor, model_cursor
+from core.adapters.postgres import listing
+from core.adapters.postgres.engine import Session
 from core.adapters.postgres.rows import columns, words
 from core.adapters.postgres.tables import NOW, dispatches, models
 from core.errors import ModelNotFound
 from core.jobs.store import Dispatch
 from core.user_models.record import Description, ModelRecord
+from core.user_models.store import ModelPage
 
 log = structlog.get_logger()
 
 _UNREADABLE = "This version cannot read what was found out about it; send it again."
 
 
-def find(connection: Connection, model_id: str) -> ModelRecord:
-    row = connection.execute(select(models).where(models.c.id == model_id)).first()
-    if row is None:
-        raise ModelNotFound(model_id)
-    return _record(row)
+class Models(Session):
+    """A ModelStore."""
+
+    def find_model(self, model_id: str) -> ModelRecord:
+        with self._statements() as connection:
+            row = connection.execute(select(models).where(models.c.id == model_id)).first()
+        if row is None:
+            raise ModelNotFound(model_id)
+        return _record(row)
+
+    def add_model(self, record: ModelRecord) -> None:
+        values = _values(record)
+        write = insert(models).values(id=record.id, **values)
+        dispatch = insert(dispatches).values(task="model", subject=record.id, attempt=0, created_at=NOW)
+        with self._transaction() as connection:
+            connection.execute(write.on_conflict_do_update(index_elements=["id"], set_=values))
+            if record.status == "validating":
+                connection.execute(dispatch.on_conflict_do_nothing())
+
+    def model_dispatched(self, model_id: str) -> None:
+        with self._statements() as connection:
+            connection.execute(_dispatch_of(model_id))
+
+    def name_model(self, model_id: str, name: str) -> None:
+        with self._statements() as connection:
+            _change(connection, model_id, {"name": name})
+
+    def settle_model(self, record: ModelRecord) -> None:
+        values = _values(record)
+        del values["name"]  # Somebody may have sent it by another one meanwhile.
+        with self._transaction() as connection:
+            _change(connection, record.id, values)
+
+    def delete_model(self, model_id: str) -> None:
+        with self._transaction() as connection:
+            connection.execute(delete(models).where(models.c.id == model_id))
+            connection.execute(_dispatch_of(model_id))
+
+    def num_waiting_models(self) -> int:
+        with self._statements() as connection:
+            return len(waiting(connection))
+
+    def models(self) -> Sequence[ModelRecord]:
+        with self._statements() as connection:
+            return [_record(row) for row in connection.execute(select(models).order_by(models.c.id))]
+
+    def list_models(
+        self, *, cursor: str | None = None, limit: int = 50, name: str | None = None
+    ) -> ModelPage:
+        wanted = select(models).order_by(models.c.created_at.desc(), models.c.id.desc()).limit(limit + 1)
+        if cursor is not None:  # Ids order the models of one moment.
+            wanted = wanted.where(
+                tuple_(models.c.created_at, models.c.id) < tuple_(*check_model_cursor(cursor))
+            )
+        if name is not None:
+            wanted = wanted.where(models.c.name == name)
+        size = func.coalesce(func.octet_length(models.c.description), 0)
+        with self._statements() as connection:
+            found = connection.execute(listing.by_bytes(wanted, size, "created_at", "id")).all()
+        page = [_record(row) for row in found[:limit]]
+        return ModelPage(page, model_cursor(page[-1]) if listing.has_more(found, len(page)) else None)
 
 
-def add(connection: Connection, record: ModelRecord) -> None:
-    values = _values(record)
-    connection.execute(
-        insert(models)
-        .values(id=record.id, **values)
-        .on_conflict_do_update(index_elements=["id"], set_=values)
-    )
-    if record.status == "validating":
-        connection.execute(
-            insert(dispatches)
-            .values(task="model", subject=record.id, attempt=0, created_at=NOW)
-            .on_conflict_do_nothing()
-        )
-
-
-def settle(connection: Connection, record: ModelRecord) -> None:
-    values = _values(record)
-    del values["name"]  # Somebody may have sent it by another one meanwhile.
-    _change(connection, record.id, values)
-
-
-def rename(connection: Connection, model_id: str, name: str) -> None:
-    _change(connection, model_id, {"name": name})
+def waiting(connection: Connection) -> Sequence[Dispatch]:
+    """The models that wait for their validation."""
+    found = connection.execute(select(models.c.id).where(models.c.status == "validating"))
+    return [Dispatch("model", row.id) for row in found]
 
 
 def _change(connection: Connection, model_id: str, values: dict[str, Any]) -> None:
+    """Raises ModelNotFound."""
     changed = connection.execute(
         update(models).where(models.c.id == model_id).values(values).returning(models.c.id)
     )
@@ -61,39 +102,8 @@ def _change(connection: Connection, model_id: str, values: dict[str, Any]) -> No
         raise ModelNotFound(model_id)
 
 
-def forget(connection: Connection, model_id: str) -> None:
-    connection.execute(delete(models).where(models.c.id == model_id))
-    connection.execute(
-        delete(dispatches).where(dispatches.c.task == "model", dispatches.c.subject == model_id)
-    )
-
-
-def every(connection: Connection) -> Sequence[ModelRecord]:
-    return [_record(row) for row in connection.execute(select(models).order_by(models.c.id))]
-
-
-def newest(
-    connection: Connection, before: tuple[datetime, str] | None, limit: int, name: str | None = None
-) -> tuple[Sequence[ModelRecord], bool]:
-    """The newest models, of those that were sent before this moment; ids order those of one moment. Fewer
-    where their descriptions are long (`pages`), and whether there are more.
-
-    name: only those of this name.
-    """
-    place = tuple_(models.c.created_at, models.c.id)
-    wanted = select(models).order_by(models.c.created_at.desc(), models.c.id.desc()).limit(limit + 1)
-    if before is not None:
-        wanted = wanted.where(place < tuple_(*before))
-    if name is not None:
-        wanted = wanted.where(models.c.name == name)
-    size = func.coalesce(func.octet_length(models.c.description), 0)
-    found = connection.execute(pages.by_bytes(wanted, size, "created_at", "id")).all()
-    return [_record(row) for row in found[:limit]], pages.has_more(found, min(len(found), limit))
-
-
-def waiting(connection: Connection) -> Sequence[Dispatch]:
-    found = connection.execute(select(models.c.id).where(models.c.status == "validating"))
-    return [Dispatch("model", row.id) for row in found]
+def _dispatch_of(model_id: str) -> Any:
+    return delete(dispatches).where(dispatches.c.task == "model", dispatches.c.subject == model_id)
 
 
 def _values(record: ModelRecord) -> dict[str, Any]:

@@ -1,21 +1,70 @@
-"""Jobs to rows, and rows to jobs."""
+"""Jobs to rows, and rows to jobs with their attempts and artifacts."""
 
 import json
+from collections import defaultdict
 from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any, cast
 
 from pydantic import ValidationError
 from pydantic_core import from_json
-from sqlalchemy import Row
+from sqlalchemy import ARRAY, Connection, Row, Text, any_, bindparam, case, func, literal, select
 
+from core.adapters.postgres.tables import artifacts, attempts, jobs
 from core.bounds import LONGEST_MESSAGE
+from core.errors import JobNotFound, JobUnreadable
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
 from core.jobs.queue import queue_of
 from core.jobs.status import JobStatus
 from core.jobs.stored_spec import read_spec
 
 Values = dict[str, Any]
+HELD = tuple(status.value for status in JobStatus if status.is_held)
+
+# An array is one parameter: the statement is the same for any number of ids, and PostgreSQL has it prepared.
+IDS = bindparam("ids", type_=ARRAY(Text))
+_ATTEMPTS_OF = select(attempts).where(attempts.c.job_id == any_(IDS)).order_by(attempts.c.number)
+_ARTIFACTS_OF = select(artifacts).where(artifacts.c.job_id == any_(IDS)).order_by(artifacts.c.position)
+# In listings, whose readers look at the newest; a job itself has them all.
+_MOST_LISTED = 10
+_LONGEST_LISTED = 1000
+
+
+def _brief_attempts() -> Any:
+    from_last = func.row_number().over(partition_by=attempts.c.job_id, order_by=attempts.c.number.desc())
+    shown = [column for column in attempts.c if column.name not in ("details", "message")]
+    found = (
+        select(
+            *shown,
+            literal("{}").label("details"),
+            func.left(attempts.c.message, _LONGEST_LISTED).label("message"),
+            from_last.label("place"),
+        )
+        .where(attempts.c.job_id == any_(IDS))
+        .subquery()
+    )
+    return select(found).where(found.c.place <= _MOST_LISTED).order_by(found.c.number)
+
+
+def _brief_artifacts() -> Any:
+    """The newest of each role; one without a step was made at the job's end."""
+    from_last = func.row_number().over(
+        partition_by=(artifacts.c.job_id, artifacts.c.role),
+        order_by=(artifacts.c.step.desc().nulls_first(), artifacts.c.position.desc()),
+    )
+    shown = [column for column in artifacts.c if column.name != "metadata"]
+    facts = case(
+        (func.octet_length(artifacts.c.metadata) <= _LONGEST_LISTED, artifacts.c.metadata), else_="{}"
+    )
+    found = (
+        select(*shown, facts.label("metadata"), from_last.label("place"))
+        .where(artifacts.c.job_id == any_(IDS))
+        .subquery()
+    )
+    return select(found).where(found.c.place <= _MOST_LISTED).order_by(found.c.position)
+
+
+_BRIEF_ATTEMPTS_OF, _BRIEF_ARTIFACTS_OF = _brief_attempts(), _brief_artifacts()
 
 
 def job_values(job: Job) -> Values:
@@ -77,16 +126,55 @@ def columns(row: Row[Any]) -> Values:
     return dict(row._mapping)  # pyright: ignore[reportPrivateUsage] # Public, by SQLAlchemy's documentation.
 
 
-def read_job(
-    row: Row[Any], attempts: Sequence[Row[Any]], artifacts: Sequence[Row[Any]]
-) -> Job | UnreadableJob:
+def find_job(connection: Connection, job_id: str) -> Job | UnreadableJob:
+    """Raises JobNotFound."""
+    row = connection.execute(select(jobs).where(jobs.c.id == job_id)).first()
+    if row is None:
+        raise JobNotFound(job_id[:64])
+    return jobs_of_rows(connection, [row])[0]
+
+
+def jobs_of_rows(
+    connection: Connection, found: Sequence[Any], *, brief: bool = False
+) -> list[Job | UnreadableJob]:
+    """The jobs of these rows, with at most two queries for all of them together.
+
+    brief: with their newest attempts and files alone, and without what these say at length about themselves.
+    """
+    if not found:
+        return []
+    ids = {"ids": [row.id for row in found]}
+    tries: dict[str, list[Any]] = defaultdict(list)
+    files: dict[str, list[Any]] = defaultdict(list)
+    if any(row.num_attempts for row in found):
+        for row in connection.execute(_BRIEF_ATTEMPTS_OF if brief else _ATTEMPTS_OF, ids):
+            tries[row.job_id].append(row)
+    for row in connection.execute(_BRIEF_ARTIFACTS_OF if brief else _ARTIFACTS_OF, ids):
+        files[row.job_id].append(row)
+    return [_job(row, tries[row.id], files[row.id]) for row in found]
+
+
+def hold_job(connection: Connection, job_id: str) -> bool:
+    """Whether the job exists; if so, nobody deletes it before the transaction ends."""
+    row = select(jobs.c.id).where(jobs.c.id == job_id).with_for_update(read=True, key_share=True)
+    return connection.execute(row).first() is not None
+
+
+def readable(job: Job | UnreadableJob) -> Job:
+    """Raises JobUnreadable."""
+    if isinstance(job, UnreadableJob):
+        raise JobUnreadable(job.id, job.problem)
+    return job
+
+
+def _job(row: Row[Any], tries: Sequence[Row[Any]], files: Sequence[Row[Any]]) -> Job | UnreadableJob:
     """The job; an UnreadableJob if its row is damaged or another version wrote it."""
     own = columns(row)
     try:
         found = {
             "spec": read_spec(row.spec),
-            "attempts": [_attempt_of(attempt) for attempt in attempts],
-            "artifacts": [_artifact_of(artifact) for artifact in artifacts],
+            "attempts": [_attempt_of(attempt) for attempt in tries],
+            "artifacts": [_artifact_of(artifact) for artifact in files],
             "progress": _progress(row.progress),
             "imported_from": None if row.imported_from is None else from_json(row.imported_from),
         }

@@ -3,21 +3,23 @@
 import json
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
-from typing import Any
+from typing import Any, NoReturn
 
 import structlog
 from pydantic_core import from_json
 from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
-from core.adapters.postgres import deletions, loading, pages, rows, submissions
+from core.adapters.cursors import check_cursor
+from core.adapters.postgres import listing, rows
+from core.adapters.postgres.engine import Session
+from core.adapters.postgres.jobs import KEYS_REMEMBERED, add_job, hashed
 from core.adapters.postgres.tables import NOW, jobs, sweeps, trials
-from core.errors import IdempotencyKeyReused, JobNotFound, StaleSweep, SweepNotFound, TooManySweeps
-from core.jobs.job import Job, UnreadableJob
+from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound, TooManySweeps
+from core.jobs.job import Job
 from core.jobs.store import Idempotency
 from core.sweeps.spec import SWEEP_SPEC
-from core.sweeps.store import SweepMark
+from core.sweeps.store import SweepMark, SweepPage
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
 
 log = structlog.get_logger()
@@ -26,18 +28,137 @@ _FOUND = {"importance", "importance_note", "num_judged"}
 _ACTIVE = ("running", "cancelling")
 
 
-def add(
-    connection: Connection, sweep: Sweep, idempotency: Idempotency | None, most_active: int | None = None
+class Sweeps(Session):
+    """The part of a SweepStore that has the sweeps."""
+
+    def add_sweep(
+        self, sweep: Sweep, idempotency: Idempotency | None = None, *, most_active: int | None = None
+    ) -> Sweep:
+        with self._transaction() as connection:
+            return _add(connection, sweep, idempotency, most_active)
+
+    def num_active_sweeps(self) -> int:
+        with self._statements() as connection:
+            return _num_active(connection)
+
+    def get_sweep(self, sweep_id: str) -> Sweep:
+        with self._statements() as connection:
+            row = connection.execute(select(sweeps).where(sweeps.c.id == sweep_id)).first()
+        if row is None:
+            raise SweepNotFound(sweep_id[:64])
+        return _sweep(row)
+
+    def save_sweep(self, sweep: Sweep) -> None:
+        before = update(sweeps).where(sweeps.c.id == sweep.id, sweeps.c.version == sweep.version - 1)
+        with self._statements() as connection:
+            if connection.execute(before.values(_values(sweep)).returning(sweeps.c.id)).first() is None:
+                _refuse(connection, sweep.id)
+
+    def delete_sweep(self, sweep_id: str, version: int) -> None:
+        known = delete(sweeps).where(sweeps.c.id == sweep_id, sweeps.c.version == version)
+        with self._statements() as connection:
+            if connection.execute(known.returning(sweeps.c.id)).first() is None:
+                _refuse(connection, sweep_id)
+
+    def list_sweeps(
+        self, *, status: SweepStatus | None = None, cursor: str | None = None, limit: int = 50
+    ) -> SweepPage:
+        wanted = select(sweeps).order_by(sweeps.c.id.desc()).limit(limit + 1)
+        if status is not None:
+            wanted = wanted.where(sweeps.c.status == status.value)
+        if cursor is not None:
+            wanted = wanted.where(sweeps.c.id < check_cursor(cursor))
+        said = select(func.coalesce(func.sum(func.octet_length(trials.c.said)), 0)).where(
+            trials.c.sweep_id == sweeps.c.id
+        )
+        size = func.octet_length(sweeps.c.spec) + said.scalar_subquery()
+        with self._statements() as connection:
+            found = connection.execute(listing.by_bytes(wanted, size, "id")).all()
+        page = [_sweep(row) for row in found[:limit]]
+        return SweepPage(page, page[-1].id if listing.has_more(found, len(page)) else None)
+
+    def active_marks(self) -> Mapping[str, SweepMark]:
+        # Only those trials are read that have not ended, by the index `trials_going`.
+        going = and_(trials.c.sweep_id == sweeps.c.id, trials.c.outcome.is_(None))
+        of_trials = sweeps.outerjoin(trials, going).outerjoin(jobs, jobs.c.id == trials.c.job_id)
+        wanted = (
+            select(
+                sweeps.c.id,
+                sweeps.c.version,
+                _digest(trials.c.number, jobs.c.id, jobs.c.version).label("going"),
+                _digest(trials.c.number, jobs.c.num_events).label("events"),
+            )
+            .select_from(of_trials)
+            .where(sweeps.c.status.in_(_ACTIVE))
+            .group_by(sweeps.c.id)
+            .order_by(sweeps.c.id)
+        )
+        with self._statements() as connection:
+            found = connection.execute(wanted).all()
+        return {row.id: SweepMark(row.version, row.going, row.events) for row in found}
+
+    def active_sweeps(self, among: Collection[str] | None = None) -> Sequence[Sweep]:
+        wanted = select(sweeps).where(sweeps.c.status.in_(_ACTIVE)).order_by(sweeps.c.id)
+        if among is not None:
+            wanted = wanted.where(sweeps.c.id.in_(among))
+        with self._statements() as connection:
+            found = connection.execute(wanted).all()
+        readable: list[Sweep] = []
+        for row in found:
+            try:
+                readable.append(_sweep(row))
+            except ValueError as error:  # A newer version may have written it.
+                log.warning("sweep_unreadable", sweep=row.id, problem=str(error))
+        return readable
+
+    def trials(self, sweep_ids: Collection[str]) -> Mapping[str, Sequence[Trial]]:
+        if not sweep_ids:
+            return {}
+        found: dict[str, list[Trial]] = defaultdict(list)
+        wanted = select(trials).where(trials.c.sweep_id.in_(sweep_ids))
+        with self._statements() as connection:
+            for row in connection.execute(wanted.order_by(trials.c.sweep_id, trials.c.number)):
+                found[row.sweep_id].append(_trial(row))
+        return found
+
+    def add_trial(self, sweep_id: str, trial: Trial, job: Job | None) -> bool:
+        # The lock on the sweep's row makes others wait who add trials, or cancel it.
+        runs = select(sweeps.c.status).where(sweeps.c.id == sweep_id).with_for_update()
+        there = select(trials.c.number).where(trials.c.sweep_id == sweep_id, trials.c.number == trial.number)
+        with self._transaction() as connection:
+            row = connection.execute(runs).first()
+            if row is None or row.status != SweepStatus.RUNNING:
+                return False
+            if connection.execute(there).first() is not None:
+                return False
+            if job is not None:
+                if job.spec.source is not None:
+                    # Where the source was deleted, the trial's attempt says so.
+                    rows.hold_job(connection, job.spec.source.job)
+                add_job(connection, job)
+            connection.execute(insert(trials).values(sweep_id=sweep_id, **_trial_values(trial)))
+            return True
+
+    def save_trial(self, sweep_id: str, trial: Trial) -> bool:
+        open_trial = update(trials).where(
+            trials.c.sweep_id == sweep_id, trials.c.number == trial.number, trials.c.outcome.is_(None)
+        )
+        changed = open_trial.values(_trial_values(trial)).returning(trials.c.number)
+        with self._statements() as connection:
+            return connection.execute(changed).first() is not None
+
+
+def _add(
+    connection: Connection, sweep: Sweep, idempotency: Idempotency | None, most_active: int | None
 ) -> Sweep:
-    """Add the sweep; or return the one that has the key. Raises IdempotencyKeyReused, TooManySweeps."""
-    has_room = most_active is None or num_active(connection) < most_active
+    has_room = most_active is None or _num_active(connection) < most_active
     values = {**_values(sweep), "id": sweep.id, "created_at": sweep.created_at}
     if idempotency is None:
         _check_room(most_active, has_room=has_room)
         connection.execute(insert(sweeps).values(values))
         return sweep
-    key_hash = submissions.hashed(idempotency.key)
-    is_forgotten = sweeps.c.created_at <= NOW - submissions.REMEMBERED
+    key_hash = hashed(idempotency.key)
+    is_forgotten = sweeps.c.created_at <= NOW - KEYS_REMEMBERED
     connection.execute(
         update(sweeps)
         .where(sweeps.c.key_hash == key_hash, is_forgotten)
@@ -50,7 +171,7 @@ def add(
         return sweep
     row = connection.execute(select(sweeps).where(sweeps.c.key_hash == key_hash)).first()
     if row is None:  # It was deleted between the two statements.
-        return add(connection, sweep, idempotency, most_active)
+        return _add(connection, sweep, idempotency, most_active)
     if row.fingerprint != idempotency.fingerprint:
         raise IdempotencyKeyReused(idempotency.key)
     return _sweep(row)
@@ -61,130 +182,15 @@ def _check_room(most_active: int | None, *, has_room: bool) -> None:
         raise TooManySweeps(most_active)
 
 
-def get(connection: Connection, sweep_id: str) -> Sweep:
-    row = connection.execute(select(sweeps).where(sweeps.c.id == sweep_id)).first()
-    if row is None:
-        raise SweepNotFound(sweep_id[:64])
-    return _sweep(row)
-
-
-def save(connection: Connection, sweep: Sweep) -> None:
-    changed = connection.execute(
-        update(sweeps)
-        .where(sweeps.c.id == sweep.id, sweeps.c.version == sweep.version - 1)
-        .values(_values(sweep))
-        .returning(sweeps.c.id)
-    )
-    if changed.first() is None:
-        _refuse(connection, sweep.id)
-
-
-def remove(connection: Connection, sweep_id: str, version: int) -> None:
-    found = delete(sweeps).where(sweeps.c.id == sweep_id, sweeps.c.version == version)
-    if connection.execute(found.returning(sweeps.c.id)).first() is None:
-        _refuse(connection, sweep_id)
-
-
-def newest(
-    connection: Connection, status: SweepStatus | None, before: str | None, limit: int
-) -> tuple[list[Sweep], bool]:
-    """Some sweeps, fewer where they and their trials are long (`pages`), and whether there are more."""
-    wanted = select(sweeps).order_by(sweeps.c.id.desc()).limit(limit + 1)
-    if status is not None:
-        wanted = wanted.where(sweeps.c.status == status.value)
-    if before is not None:
-        wanted = wanted.where(sweeps.c.id < before)
-    said = select(func.coalesce(func.sum(func.octet_length(trials.c.said)), 0)).where(
-        trials.c.sweep_id == sweeps.c.id
-    )
-    size = func.octet_length(sweeps.c.spec) + said.scalar_subquery()
-    found = connection.execute(pages.by_bytes(wanted, size, "id")).all()
-    return [_sweep(row) for row in found[:limit]], pages.has_more(found, min(len(found), limit))
-
-
-def num_active(connection: Connection) -> int:
+def _num_active(connection: Connection) -> int:
     wanted = select(func.count()).select_from(sweeps).where(sweeps.c.status.in_(_ACTIVE))
     return connection.execute(wanted).scalar_one()
-
-
-def active_marks(connection: Connection) -> Mapping[str, SweepMark]:
-    """Oldest first. Of the trials only those are read that have not ended, by the index `trials_going`."""
-    going = and_(trials.c.sweep_id == sweeps.c.id, trials.c.outcome.is_(None))
-    of_trials = sweeps.outerjoin(trials, going).outerjoin(jobs, jobs.c.id == trials.c.job_id)
-    wanted = (
-        select(
-            sweeps.c.id,
-            sweeps.c.version,
-            _digest(trials.c.number, jobs.c.id, jobs.c.version).label("going"),
-            _digest(trials.c.number, jobs.c.num_events).label("events"),
-        )
-        .select_from(of_trials)
-        .where(sweeps.c.status.in_(_ACTIVE))
-        .group_by(sweeps.c.id)
-        .order_by(sweeps.c.id)
-    )
-    return {row.id: SweepMark(row.version, row.going, row.events) for row in connection.execute(wanted)}
 
 
 def _digest(*said: ColumnElement[Any]) -> ColumnElement[Any]:
     """A digest over all rows of a group; null for a group without trials."""
     row = func.concat_ws(" ", *said)
     return func.md5(func.string_agg(row, aggregate_order_by(literal(","), trials.c.number)))
-
-
-def active(connection: Connection, among: Collection[str] | None) -> Sequence[Sweep]:
-    """Oldest first. One that cannot be read is left out: a newer version may have written it."""
-    found: list[Sweep] = []
-    wanted = select(sweeps).where(sweeps.c.status.in_(_ACTIVE)).order_by(sweeps.c.id)
-    if among is not None:
-        wanted = wanted.where(sweeps.c.id.in_(among))
-    for row in connection.execute(wanted):
-        try:
-            found.append(_sweep(row))
-        except ValueError as error:
-            log.warning("sweep_unreadable", sweep=row.id, problem=str(error))
-    return found
-
-
-def trials_of(connection: Connection, sweep_ids: Collection[str]) -> Mapping[str, Sequence[Trial]]:
-    found: dict[str, list[Trial]] = defaultdict(list)
-    wanted = select(trials).where(trials.c.sweep_id.in_(sweep_ids))
-    for row in connection.execute(wanted.order_by(trials.c.sweep_id, trials.c.number)):
-        found[row.sweep_id].append(_trial(row))
-    return found
-
-
-def jobs_of(connection: Connection, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
-    found = connection.execute(select(jobs).where(jobs.c.id.in_(job_ids))).all()
-    return {job.id: job for job in loading.of_rows(connection, found)}
-
-
-def add_trial(connection: Connection, sweep_id: str, trial: Trial, job: Job | None) -> bool:
-    """Within a transaction: the lock on the sweep's row makes others wait who add trials, or cancel it."""
-    runs = select(sweeps.c.status).where(sweeps.c.id == sweep_id).with_for_update()
-    row = connection.execute(runs).first()
-    if row is None or row.status != SweepStatus.RUNNING:
-        return False
-    there = select(trials.c.number).where(trials.c.sweep_id == sweep_id, trials.c.number == trial.number)
-    if connection.execute(there).first() is not None:
-        return False
-    if job is not None:
-        if job.spec.source is not None:
-            with suppress(JobNotFound):  # Then the trial's attempt says so.
-                deletions.hold_source(connection, job.spec.source.job)
-        submissions.add(connection, job)
-    connection.execute(insert(trials).values(sweep_id=sweep_id, **_trial_values(trial)))
-    return True
-
-
-def save_trial(connection: Connection, sweep_id: str, trial: Trial) -> bool:
-    changed = connection.execute(
-        update(trials)
-        .where(trials.c.sweep_id == sweep_id, trials.c.number == trial.number, trials.c.outcome.is_(None))
-        .values(_trial_values(trial))
-        .returning(trials.c.number)
-    )
-    return changed.first() is not None
 
 
 def _values(sweep: Sweep) -> rows.Values:
@@ -221,7 +227,7 @@ def _trial(row: Row[Any]) -> Trial:
     return Trial.model_validate({**from_json(row.said), **rows.columns(row), "job": row.job_id})
 
 
-def _refuse(connection: Connection, sweep_id: str) -> None:
+def _refuse(connection: Connection, sweep_id: str) -> NoReturn:
     if connection.execute(select(sweeps.c.id).where(sweeps.c.id == sweep_id)).first() is None:
         raise SweepNotFound(sweep_id[:64])
     raise StaleSweep(sweep_id)

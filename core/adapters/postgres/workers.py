@@ -6,11 +6,12 @@ from typing import Any
 
 import structlog
 from pydantic import ValidationError
-from sqlalchemy import Connection, Row, and_, delete, func, select
+from sqlalchemy import Row, and_, delete, func, select
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
-from core.adapters.postgres.leases import HELD
-from core.adapters.postgres.rows import interval
+from core.adapters.cursors import check_worker_cursor
+from core.adapters.postgres.engine import Session
+from core.adapters.postgres.rows import HELD, interval
 from core.adapters.postgres.tables import NOW, attempts, jobs, workers
 from core.jobs.workers import WorkerInfo, WorkerPage
 
@@ -31,36 +32,33 @@ _PRESENT = (
 )
 
 
-def announce(connection: Connection, worker: WorkerInfo, ttl: timedelta) -> None:
-    said = {"said": worker.model_dump_json(), "gone_at": NOW + interval(ttl)}
-    connection.execute(
-        insert(workers)
-        .values(name=worker.name, **said)
-        .on_conflict_do_update(index_elements=["name"], set_=said)
-    )
+class Workers(Session):
+    """A WorkerStore."""
 
+    def announce(self, worker: WorkerInfo, ttl: timedelta) -> None:
+        said = {"said": worker.model_dump_json(), "gone_at": NOW + interval(ttl)}
+        write = insert(workers).values(name=worker.name, **said)
+        with self._statements() as connection:
+            connection.execute(write.on_conflict_do_update(index_elements=["name"], set_=said))
 
-def withdraw(connection: Connection, name: str) -> None:
-    connection.execute(delete(workers).where(workers.c.name == name))
+    def withdraw(self, name: str) -> None:
+        with self._statements() as connection:
+            connection.execute(delete(workers).where(workers.c.name == name))
 
+    def workers(self) -> Sequence[WorkerInfo]:
+        with self._statements() as connection:
+            return _readable(connection.execute(_PRESENT).all())
 
-def every(connection: Connection) -> Sequence[WorkerInfo]:
-    """All workers that this version can read, by name; the others are logged and left out."""
-    return _readable(connection.execute(_PRESENT).all())
-
-
-def page(connection: Connection, after: str | None, limit: int) -> WorkerPage:
-    """Workers whose names follow `after`. The cursor counts those that cannot be read, too."""
-    wanted = _PRESENT if after is None else _PRESENT.where(workers.c.name > after)
-    rows = connection.execute(wanted.limit(limit + 1)).all()
-    return WorkerPage(_readable(rows[:limit]), rows[limit - 1].name if len(rows) > limit else None)
-
-
-def forget_gone(connection: Connection) -> None:
-    connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
+    def list_workers(self, *, cursor: str | None = None, limit: int = 50) -> WorkerPage:
+        after = None if cursor is None else check_worker_cursor(cursor)
+        wanted = _PRESENT if after is None else _PRESENT.where(workers.c.name > after)
+        with self._statements() as connection:
+            rows = connection.execute(wanted.limit(limit + 1)).all()
+        return WorkerPage(_readable(rows[:limit]), rows[limit - 1].name if len(rows) > limit else None)
 
 
 def _readable(rows: Sequence[Row[Any, Any, Any]]) -> list[WorkerInfo]:
+    """The workers that this version can read; the others are logged and left out."""
     found: list[WorkerInfo] = []
     for row in rows:
         try:

@@ -67,8 +67,8 @@ def recover(
 
 def _recover(settings: "StoreSettings", wanted: set[str]) -> int:
     """Returns how many findings are left to act on."""
-    from core.adapters.connect import connect_postgres, job_store, object_store
     from core.adapters.postgres import schema
+    from core.adapters.wiring import connect_postgres, job_store, object_store
     from core.errors import Conflict, NotFound
     from core.jobs.recovery.findings import findings
 

@@ -24,8 +24,8 @@ def postgresql(settings: "StoreSettings | None") -> Check:
     """Check that the record can be reached, is durable, and has tables of this version."""
     if settings is None:
         return Check("postgresql", "skip", _NO_SETTINGS)
-    from core.adapters.connect import connect_postgres, job_store
     from core.adapters.postgres import schema
+    from core.adapters.wiring import connect_postgres, job_store
 
     try:
         found = schema.facts(connect_postgres(settings.database_url.get_secret_value(), pool_size=0))
@@ -55,9 +55,9 @@ def redis(settings: "StoreSettings | None") -> Check:
     """Check that the queue can be written."""
     if settings is None:
         return Check("redis", "skip", _NO_SETTINGS)
-    from core.adapters.connect import connect_redis
     from core.adapters.redis.errors import reaching_redis
     from core.adapters.startup import exercise_queue
+    from core.adapters.wiring import connect_redis
 
     try:
         with connect_redis(settings.redis_url.get_secret_value(), retries=0) as client, reaching_redis():
@@ -80,8 +80,8 @@ def object_store(settings: "StoreSettings | None") -> Check:
     """Check that a put, a get, a ranged get, a listing and a delete work."""
     if settings is None:
         return Check("object store", "skip", _NO_SETTINGS)
-    from core.adapters.connect import object_store
     from core.adapters.startup import exercise_objects
+    from core.adapters.wiring import object_store
 
     try:
         exercise_objects(object_store(settings, retries=0))

@@ -227,7 +227,7 @@ def second_machine(checkout: Path, tmp_path: Path, project: Project) -> Iterator
 # Ends with 0 where each store wants TLS, and shows a certificate that only our authority has signed.
 NO_DOOR_WITHOUT_TLS = """
 import sys
-from core.adapters.connect import connect_redis, job_store, object_store
+from core.adapters.wiring import connect_redis, job_store, object_store
 from core.adapters.redis.errors import reaching_redis
 from core.configuration import read
 from core.errors import RecordsRefuse, RecordsUnavailable, StorageRefuses
@@ -360,7 +360,7 @@ def test_down_and_up_keep_everything(
 # Ends with 0 where a store still lets the secrets in that its arguments name.
 OLD_SECRETS_WORK = """
 import sys
-from core.adapters.connect import connect_redis
+from core.adapters.wiring import connect_redis
 from core.adapters.s3.connection import connect_s3
 redis_url, access_key, secret_key = sys.argv[1:]
 try:
@@ -388,7 +388,7 @@ def test_a_changed_secret_shuts_the_old_one_out(
 
 def log_in(project: Project, password: str) -> None:
     """Raises CommandFailed where PostgreSQL does not let the password in."""
-    look = "import sys; from core.adapters.connect import connect_postgres as c; c(sys.argv[1]).connect()"
+    look = "import sys; from core.adapters.wiring import connect_postgres as c; c(sys.argv[1]).connect()"
     url = f"postgresql://gaitway:{password}@postgres:5432/gaitway"
     project.exec("api", "python", "-c", look, url)
 

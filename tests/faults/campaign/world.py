@@ -21,9 +21,9 @@ import psutil
 import psycopg
 import redis
 
-from core.adapters.connect import connect_redis
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
+from core.adapters.wiring import connect_redis
 from gaitway.service.embedded.folders import private_folder, write_private
 from gaitway.service.embedded.postgres import Postgres
 from gaitway.service.embedded.valkey import Valkey

@@ -4,8 +4,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from core.adapters.postgres import clock
-from core.adapters.postgres.clock import Clock
+from core.adapters.postgres import engine
+from core.adapters.postgres.engine import Clock
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 SECOND = timedelta(seconds=1)
@@ -19,7 +19,7 @@ class Time:
         self.trip_s = 0.001
         self.asked = 0
         self.step = timedelta(0)
-        monkeypatch.setattr(clock.time, "monotonic", lambda: self.passed_s)
+        monkeypatch.setattr(engine.time, "monotonic", lambda: self.passed_s)
 
     def ask(self) -> datetime:
         self.asked += 1

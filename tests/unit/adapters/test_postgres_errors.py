@@ -14,9 +14,9 @@ import pytest
 from sqlalchemy.exc import DBAPIError
 
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import DEADLINE_S, NoAnswer, PromptConnection, connect_postgres
-from core.adapters.postgres.errors import Breaker
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import DEADLINE_S, PromptConnection, connect_postgres
+from core.adapters.postgres.errors import Breaker, NoAnswer
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import Misconfigured, RecordsRefuse, RecordsUnavailable
 from gaitway.service.embedded.postgres import Postgres
 

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 import pytest
 import redis
 
-from core.adapters.connect import connect_redis
 from core.adapters.redis.errors import reaching_redis
 from core.adapters.rq.queue import RQQueue
 from core.adapters.startup import exercise_queue
+from core.adapters.wiring import connect_redis
 from core.errors import Misconfigured, RecordsRefuse, RecordsUnavailable
 from gaitway.service.embedded.valkey import Valkey
 

@@ -7,11 +7,11 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from core.adapters.connect import object_store
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.errors import meaning
 from core.adapters.s3.objects import S3ObjectStore
 from core.adapters.startup import exercise_objects
+from core.adapters.wiring import object_store
 from core.errors import Misconfigured, ObjectNotFound, StorageRefuses, StorageUnavailable
 from core.settings import StoreSettings, WorkerSettings
 from gaitway.service.embedded.weed import Weed

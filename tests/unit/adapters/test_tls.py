@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from core.adapters.connect import connect_redis, job_store, object_store
 from core.adapters.redis.errors import reaching_redis
 from core.adapters.startup import exercise_objects, exercise_queue
+from core.adapters.wiring import connect_redis, job_store, object_store
 from core.errors import RecordsRefuse, StorageRefuses
 from core.settings import StoreSettings
 from gaitway.service.embedded import weed as weed_module

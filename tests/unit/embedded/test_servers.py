@@ -14,8 +14,8 @@ import psutil
 import pytest
 import urllib3
 
-from core.adapters.connect import connect_redis, job_store, object_store
 from core.adapters.startup import prepare_database
+from core.adapters.wiring import connect_redis, job_store, object_store
 from core.settings import WorkerSettings
 from gaitway.service.embedded.processes import ServerFailed, are_free, free_ports
 from gaitway.service.embedded.servers import EmbeddedServers

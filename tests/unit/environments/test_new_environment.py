@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.algorithms.catalog import resolve
 from core.algorithms.events import Evaluated
 from core.algorithms.run import make_run

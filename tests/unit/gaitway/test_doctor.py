@@ -14,7 +14,7 @@ from sqlalchemy import Engine, text
 from typer.testing import CliRunner
 
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.engine import connect_postgres
 from core.configuration import SECRETS_DIR, names
 from core.settings import WorkerSettings
 from core.variables import variable

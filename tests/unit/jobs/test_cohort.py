@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.cohort import companions, shape_of
 from core.jobs.job import Job
 from core.jobs.needs import memory_for

@@ -7,7 +7,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import StorageUnavailable
 from core.jobs import columns, feeds
 from core.jobs.columns import GROUP

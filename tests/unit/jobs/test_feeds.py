@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import event
 
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobNotFound, StorageUnavailable
 from core.jobs import feeds
 from core.jobs.attempts import Claim

@@ -8,8 +8,8 @@ from sqlalchemy import text
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import Dispatch, MemoryJobQueue
-from core.adapters.postgres.connection import connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.attempts import PAUSES
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import EXIT_STATUS, Misconfigured
 from core.jobs.workers import WorkerInfo
 from core.settings import WorkerSettings

@@ -13,7 +13,7 @@ from rq.exceptions import StopRequested
 from rq.worker import WorkerStatus
 
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs.attempts import Claim
 from core.jobs.queue import FIRST, queue_names

@@ -15,7 +15,7 @@ import pytest
 import redis
 
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.errors import RecordsUnavailable
 from core.jobs.attempts import claim_attempt

@@ -10,7 +10,7 @@ from typing import IO, Any
 import pytest
 
 from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.jobs import feeds
 from core.jobs.attempts import Claim
 from core.jobs.job import utc_now

@@ -10,7 +10,7 @@ import pytest
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret

@@ -15,7 +15,7 @@ import pytest
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.store import PostgresJobStore
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, read
 from core.errors import BadModel, ModelNotFound

@@ -1,19 +1,26 @@
 """Connections to PostgreSQL; every call ends within seconds, even if the server is silent."""
 
 import select
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from datetime import datetime, timedelta
 from typing import Any
 
 import psycopg
 from psycopg import errors
 from psycopg.conninfo import conninfo_to_dict
-from sqlalchemy import Engine, create_engine, event
+from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import InvalidatePoolError
 from sqlalchemy.pool import ConnectionPoolEntry, NullPool, QueuePool
 
+from core.adapters.postgres.errors import Breaker, NoAnswer
 from core.errors import Misconfigured
 
 # If a call takes longer, the server is stopped, cut off or overloaded.
 DEADLINE_S = 2.0
+# An answer about the time that took longer is too old to extrapolate from.
+_PROMPT_S = 0.05
 # The server gives up before that: its error says more than silence.
 _OPTIONS = " ".join(
     (
@@ -25,10 +32,6 @@ _OPTIONS = " ".join(
         "-c application_name=gaitway",
     )
 )
-
-
-class NoAnswer(psycopg.OperationalError):
-    """The server accepts connections and does not answer."""
 
 
 class PromptConnection(psycopg.Connection[Any]):
@@ -100,3 +103,57 @@ def _refuse_closed(connection: PromptConnection, record: ConnectionPoolEntry, _:
     poll.register(connection.fileno(), select.POLLIN)
     if not is_new and poll.poll(0):
         raise InvalidatePoolError
+
+
+class Session:
+    """Reaches the database for the classes with statements. The engine comes from `connect_postgres`."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._autocommit = engine.execution_options(isolation_level="AUTOCOMMIT")
+        self._breaker = Breaker()
+
+    @contextmanager
+    def _transaction(self, *, is_large: bool = False) -> Generator[Connection]:
+        """is_large: its statements may be slow because of their size, which says nothing to other calls."""
+        with (
+            self._breaker.reaching(is_large=is_large),
+            self._engine.connect() as connection,
+            connection.begin(),
+        ):
+            yield connection
+
+    @contextmanager
+    def _statements(self) -> Generator[Connection]:
+        """Each statement is its own transaction, which saves the round trips of BEGIN and COMMIT."""
+        with self._breaker.reaching(), self._autocommit.connect() as connection:
+            yield connection
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self._engine.dispose()
+
+
+class Clock:
+    """Asks the database now and then, and extrapolates from its answer; thread-safe.
+
+    ask: returns the database's time. max_age: how long an answer is used; a step of the database's clock is
+    noticed after that time at the latest.
+    """
+
+    def __init__(self, ask: Callable[[], datetime], max_age: timedelta) -> None:
+        self._ask = ask
+        self._max_age = max_age
+        # The answer and when it came, replaced together.
+        self._answer: tuple[datetime, float] | None = None
+
+    def now(self) -> datetime:
+        """Raises what `ask` raises."""
+        answer = self._answer
+        if answer is not None and (passed := timedelta(seconds=time.monotonic() - answer[1])) < self._max_age:
+            return answer[0] + passed
+        asked_at = time.monotonic()
+        said = self._ask()
+        answered_at = time.monotonic()
+        self._answer = (said, answered_at) if answered_at - asked_at < _PROMPT_S else None
+        return said

@@ -7,8 +7,8 @@ from redis.exceptions import ConnectionError as RedisConnectionError
 from redis.exceptions import TimeoutError as RedisTimeoutError
 from redis.retry import Retry
 
-from core.adapters.postgres.connection import connect_postgres
-from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore

@@ -1,0 +1,45 @@
+"""The record in PostgreSQL."""
+
+from datetime import datetime, timedelta
+
+from sqlalchemy import Engine, delete, select
+
+from core.adapters.postgres.engine import Clock
+from core.adapters.postgres.feeds import Feeds
+from core.adapters.postgres.jobs import Jobs
+from core.adapters.postgres.leases import Leases
+from core.adapters.postgres.models import Models
+from core.adapters.postgres.sweeps import Sweeps
+from core.adapters.postgres.tables import NOW, idempotency_keys, pulse, workers
+from core.adapters.postgres.workers import Workers
+
+# Built once: it is a part of every claim.
+_SELECT_NOW = select(NOW)
+
+
+class PostgresJobStore(Jobs, Leases, Feeds, Models, Sweeps, Workers):
+    """A SweepStore, and so a JobStore, for many processes; thread-safe.
+
+    Each method is one transaction, or a few statements that are one each; the interfaces state its promises.
+    clock_age: how long `now` extrapolates from the database's last answer.
+    """
+
+    def __init__(self, engine: Engine, *, clock_age: timedelta = timedelta(seconds=1)) -> None:
+        super().__init__(engine)
+        self._clock = Clock(self._time, clock_age)
+
+    def now(self) -> datetime:
+        return self._clock.now()
+
+    def tidy(self) -> None:
+        with self._transaction() as connection:
+            connection.execute(delete(idempotency_keys).where(idempotency_keys.c.forgotten_at <= NOW))
+            connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
+
+    def ping(self) -> None:
+        with self._statements() as connection:
+            connection.execute(select(pulse.c.id))
+
+    def _time(self) -> datetime:
+        with self._statements() as connection:
+            return connection.execute(_SELECT_NOW).scalar_one()
