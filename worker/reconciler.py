@@ -21,7 +21,6 @@ from core.errors import Unavailable
 from core.jobs import feeds, orphans
 from core.jobs.deletion import end_deletions
 from core.jobs.reconciliation import Reconciler
-from core.jobs.record_copy import copy_records
 from core.jobs.strays import StrayMessages
 from core.jobs.unfinished_uploads import end_unfinished
 from core.settings import ReconcilerSettings
@@ -95,7 +94,6 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
         Chore("jobs", every_s, Reconciler(store, queue, settings.lease).look),
         Chore("feeds", every_s, partial(feeds.compact, store=store, objects=objects)),
         Chore("sweeps", every_s, SweepController(store, queue, objects).look),
-        Chore("copies", every_s, partial(copy_records, store=store, objects=objects)),
         Chore("messages", 10 * every_s, StrayMessages(queue).look),
         Chore("record", _TIDY_EVERY_S, store.tidy),
         Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),

@@ -53,7 +53,7 @@ class Claim:
 
     def strike(self, artifact: Artifact) -> Job:
         """Remove a file from the record, because it is damaged or gone."""
-        return self._change(lambda job: job.without_artifact(artifact))
+        return self._change(lambda job: job.without_artifacts([artifact]))
 
     def end(self, status: JobStatus, reason: Reason, message: str) -> Job:
         """End the job with a final status."""

@@ -8,7 +8,7 @@ from core.jobs.store import JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
 
-# Another process may be writing a part of a feed or a copy of the record just now: by then it has finished.
+# Another process may be writing a part of a feed just now: by then it has finished.
 _OBJECTS_AGAIN_AFTER = timedelta(minutes=2)
 
 

@@ -14,7 +14,6 @@ import structlog
 
 from core.errors import JobNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs import columns
-from core.jobs.lost_feeds import gap
 from core.jobs.measured import Measured, in_chunk
 from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Chunk, Entry, JobStore
@@ -148,7 +147,7 @@ def read_metrics(
 def _entries_of(chunk: Chunk, job_id: str, store: JobStore, objects: ObjectStore) -> Iterable[Entry]:
     body = _body_of(chunk, job_id, store, objects)
     if isinstance(body, str):
-        return [gap(chunk, body, store.now())]
+        return [_gap(chunk, body, store)]
     return map(Entry.model_validate_json, body.splitlines())
 
 
@@ -165,6 +164,22 @@ def _body_of(chunk: Chunk, job_id: str, store: JobStore, objects: ObjectStore) -
         is_damaged = isinstance(error, ObjectDamaged)
         log.error("feed_damaged" if is_damaged else "feed_lost", key=chunk.key, error=error.detail)
         return "damaged in the object store" if is_damaged else "lost from the object store"
+
+
+def _gap(lost: Chunk, how: str, store: JobStore) -> Entry:
+    """The entry that replaces a chunk, and says that its entries were `how`.
+
+    It has the chunk's last number, so that readers continue after it.
+    """
+    which = f"Entries {lost.first} to {lost.last}" if lost.first < lost.last else f"Entry {lost.last}"
+    text = f"{which} of this feed {'were' if lost.first < lost.last else 'was'} {how}."
+    return Entry(id=str(lost.last), kind="note", time=store.now(), data={"text": text})
+
+
+def close_gap(job_id: str, lost: Chunk, *, store: JobStore, objects: ObjectStore) -> None:
+    """Replace a lost chunk by one with a single entry, which says what was lost."""
+    body = _gap(lost, "lost from the object store", store).model_dump_json().encode() + b"\n"
+    store.replace_chunk(job_id, lost, _stored(job_id, lost.channel, lost.first, lost.last, body, objects))
 
 
 def compact(*, store: JobStore, objects: ObjectStore) -> int:
@@ -187,8 +202,11 @@ def compact(*, store: JobStore, objects: ObjectStore) -> int:
 def _chunk(job_id: str, channel: Channel, entries: Sequence[Entry], objects: ObjectStore) -> Chunk:
     """Store these entries as an object; returns its chunk."""
     body = b"".join(entry.model_dump_json().encode() + b"\n" for entry in entries)
+    return _stored(job_id, channel, int(entries[0].id), int(entries[-1].id), body, objects)
+
+
+def _stored(job_id: str, channel: Channel, first: int, last: int, body: bytes, objects: ObjectStore) -> Chunk:
     digest = hashlib.sha256(body).hexdigest()
-    first, last = int(entries[0].id), int(entries[-1].id)
     key = keys.chunk(job_id, channel, first, digest)
     objects.put(key, body, media_type="application/jsonl")
     return Chunk(channel, first, last, key, len(body), digest)

@@ -248,9 +248,10 @@ class Job(Stored):
         named = {artifact.name: artifact for artifact in (*self.artifacts, *artifacts)}
         return self.next(artifacts=tuple(named.values()))
 
-    def without_artifact(self, artifact: Artifact) -> Self:
-        """The job without this file."""
-        return self.next(artifacts=tuple(found for found in self.artifacts if found.key != artifact.key))
+    def without_artifacts(self, artifacts: Collection[Artifact]) -> Self:
+        """The job without these files."""
+        gone = {artifact.key for artifact in artifacts}
+        return self.next(artifacts=tuple(found for found in self.artifacts if found.key not in gone))
 
     def with_newest_checkpoints(self, keep: int, promised: Collection[int] = ()) -> Self:
         """The same version, without checkpoints older than the newest `keep`; `promised` steps stay."""

@@ -7,10 +7,9 @@ from itertools import groupby
 
 import structlog
 
-from core.errors import JobUnreadable, ModelNotFound, ObjectNotFound
+from core.errors import ModelNotFound, ObjectNotFound
 from core.jobs import columns
-from core.jobs.record_copy import read_copy
-from core.jobs.store import JobStore, Mark
+from core.jobs.store import JobStore
 from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore
 
@@ -31,8 +30,6 @@ class _Seen:
     known_jobs: int = 0
     unknown_jobs: int = 0
     unknown_objects: int = 0
-    unknown_files: int = 0  # without the copies of records
-    jobs_behind: int = 0
     removed: int = 0
 
 
@@ -43,29 +40,26 @@ def sweep(*, store: JobStore, objects: ObjectStore, grace: timedelta = GRACE) ->
     queries, or one object removed.
 
     Files of an import that was interrupted before it reached the record are removed, too: the folder of an
-    unknown job holds them alone, while one that was recorded has a copy of its record, or a part of a feed.
-
-    Three kinds of objects are left alone, because a database that was restored to an older moment has
-    forgotten them, and `gaitway recover` can bring them back: those of other jobs that the record does not
-    know; all of a job whose copy is newer than its record; and those that a job's copy names.
+    unknown job holds them alone, while one that was recorded has a part of a feed. Objects of other jobs that
+    the record does not know are left alone: the database may have been restored to an older moment, and may
+    be restored again.
     """
     before = store.now() - grace
     seen = _Seen()
     for batch in batches(folders(objects.list(keys.jobs()))):
         yield from _of_jobs(batch, before, store, objects, seen)
     # A record that has forgotten jobs may have forgotten models, too.
-    if seen.known_jobs and not seen.unknown_files:
+    if seen.known_jobs and not seen.unknown_objects:
         for batch in batches(folders(objects.list(keys.models()))):
             yield from _of_models(batch, before, store, objects, seen)
     if seen.removed:
         log.info("orphans_removed", num_objects=seen.removed)
-    if seen.unknown_objects or seen.jobs_behind:
+    if seen.unknown_objects:
         log.warning(
             "objects_left_alone",
             unknown_jobs=seen.unknown_jobs,
             unknown_objects=seen.unknown_objects,
-            jobs_behind_their_copies=seen.jobs_behind,
-            remedy="`gaitway recover` lists them",
+            remedy="`gaitway check` lists them",
         )
 
 
@@ -93,15 +87,11 @@ def _of_jobs(
     batch: Folders, before: datetime, store: JobStore, objects: ObjectStore, seen: _Seen
 ) -> Iterator[None]:
     known = store.marks(batch)
-    named = set(store.objects_named(known))
-    for job_id, chunks in store.chunks(known).items():
-        named |= {columns.key(job_id, group) for group in columns.groups(chunks)}
+    named = {*store.objects_named(known), *columns_of(known, store)}
     for job_id, infos in batch.items():
-        files = [info for info in infos if not keys.is_record(info.key)]
         if job_id in known:
             seen.known_jobs += 1
-            unnamed = [info.key for info in files if info.key not in named and _is_older(info, before)]
-            orphans = _not_in_the_copy(job_id, unnamed, known[job_id], objects, seen)
+            orphans = [info.key for info in infos if info.key not in named and _is_older(info, before)]
             yield from _remove(orphans, before, objects, seen)
         elif all(keys.is_imported(info.key) for info in infos):
             old = [info.key for info in infos if _is_older(info, before)]
@@ -109,39 +99,26 @@ def _of_jobs(
         else:
             seen.unknown_jobs += 1
             seen.unknown_objects += len(infos)
-            seen.unknown_files += len(files)
     yield
 
 
-def _not_in_the_copy(
-    job_id: str, unnamed: Sequence[str], mark: Mark, objects: ObjectStore, seen: _Seen
-) -> Sequence[str]:
-    """The keys that the record's copy does not name either; none if the copy is newer than the record."""
-    if not unnamed:
-        return ()
-    try:
-        copy = read_copy(job_id, objects)
-    except JobUnreadable:
-        return ()
-    if copy is None:
-        return unnamed
-    if copy.version > mark.version:
-        seen.jobs_behind += 1
-        return ()
-    copied = {artifact.key for artifact in copy.artifacts}
-    return [key for key in unnamed if key not in copied]
+def columns_of(job_ids: Collection[str], store: JobStore) -> set[str]:
+    """The keys of the columns that were made from the chunks of these jobs."""
+    chunks = store.chunks(job_ids)
+    return {columns.key(job_id, group) for job_id in chunks for group in columns.groups(chunks[job_id])}
 
 
 def _of_models(
     batch: Folders, before: datetime, store: JobStore, objects: ObjectStore, seen: _Seen
 ) -> Iterator[None]:
     for name, infos in batch.items():
-        if all(_is_older(info, before) for info in infos) and not _is_model(name, store):
+        if all(_is_older(info, before) for info in infos) and not is_model(name, store):
             yield from _remove([info.key for info in infos], before, objects, seen)
     yield
 
 
-def _is_model(name: str, store: JobStore) -> bool:
+def is_model(name: str, store: JobStore) -> bool:
+    """Whether the record knows the model with this hash."""
     try:
         store.find_model(f"sha256:{name}")
     except ModelNotFound:

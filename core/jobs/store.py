@@ -176,13 +176,13 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         """Like `find`, for a readable record. Raises JobNotFound, JobUnreadable."""
         ...
 
-    def save(self, job: Job, *, lease: timedelta | None = None) -> None:
+    def save(self, job: Job, *, lease: timedelta | None = None, note: str | None = None) -> None:
         """Store the next version; with `lease`, also start the present attempt's lease.
 
         Raises StaleJob unless the stored version is the one before, JobNotFound where there is none.
         The progress in `job` is not stored: `record` does that. A change of status appends a `status`
-        entry ({"status", "reason", "message", "attempt"}) to the events; a job that becomes queued gets a
-        dispatch. A job that no attempt holds has no lease.
+        entry ({"status", "reason", "message", "attempt"}) to the events, and `note` one of its kind; a job
+        that becomes queued gets a dispatch. A job that no attempt holds has no lease.
         """
         ...
 
@@ -304,15 +304,6 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         """The marks of these jobs; unknown jobs are left out."""
         ...
 
-    def uncopied(self, *, limit: int) -> Sequence[Job | UnreadableJob]:
-        """Jobs that have begun, and whose copy in the object store is missing or of another version; oldest
-        first."""
-        ...
-
-    def copied(self, job_id: str, version: int) -> bool:
-        """Record that the copy is of this version; returns whether the job still exists."""
-        ...
-
     def users_of(self, model_id: str) -> Sequence[str]:
         """The ids of unfinished jobs that name this model."""
         ...
@@ -327,14 +318,6 @@ class JobStore(ModelStore, WorkerStore, Protocol):
 
     def chunks(self, job_ids: Collection[str]) -> Mapping[str, Sequence[Chunk]]:
         """The chunks of these jobs' feeds; jobs without any are left out."""
-        ...
-
-    def restore(self, job: Job, *, replaces: int | None, note: str, chunks: Sequence[Chunk] = ()) -> None:
-        """Put a recovered job into the record, with its chunks, and append `note` to its events.
-
-        replaces: the version that it replaces; None for a job that the record does not have. The lease stays
-        with the attempt that holds it. Raises StaleJob, JobNotFound; JobExists if the record has the job.
-        """
         ...
 
     def replace_chunk(self, job_id: str, lost: Chunk, found: Chunk) -> None:

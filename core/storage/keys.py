@@ -5,7 +5,6 @@ jobs/<id>/imported/<hash>/<name>               a file that came with an import, 
 jobs/<id>/<channel>/<first>-<hash>.jsonl       a finished part of a feed, from entry <first> on
 jobs/<id>/columns/<first>-<hash>.msgpack       the metrics of eight parts of `events` from entry <first> on;
                                                a copy, which may be lost
-jobs/<id>/record.json                          a copy of the record, for `gaitway recover`
 models/<hash>/source                           a user's own model, as it was sent
 previews/<whose>/<hash>/<when>/about.json      which stills were drawn, or why none; written last
 previews/<whose>/<hash>/<when>/still-<n>.png   the stills; previews may be lost without harm
@@ -34,15 +33,6 @@ def jobs() -> str:
 def job_of(key: str) -> str:
     """The id of the job that an object belongs to."""
     return key.split("/")[1]
-
-
-def record(job_id: str) -> str:
-    return f"jobs/{job_id}/record.json"
-
-
-def is_record(key: str) -> bool:
-    """Whether it is a job's `record`."""
-    return key.startswith(jobs()) and key.endswith("/record.json") and key.count("/") == 2
 
 
 def artifact(job_id: str, attempt: int, sha256: str, name: str) -> str:

@@ -11,7 +11,6 @@ from zipfile import ZipFile
 import pytest
 
 from core.jobs import feeds
-from core.jobs.record_copy import copy_records
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery
 from core.reasons import Reason
@@ -64,7 +63,6 @@ def test_it_is_used_like_any_ended_job(stack: Stack, exported: bytes) -> None:
     found = bring(stack.http, exported).json()["id"]
     while feeds.compact(store=stack.store, objects=stack.objects):
         pass
-    assert copy_records(store=stack.store, objects=stack.objects) == 1
     resumed = {"kind": "train", "environment": "ant", "resume_from": {"job": found}}
     rolled = {"kind": "rollout", "environment": "ant", "policy": {"kind": "checkpoint", "job": found}}
     for spec in (resumed, rolled):

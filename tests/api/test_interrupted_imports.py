@@ -10,9 +10,7 @@ import pytest
 from core.adapters.memory.objects import MemoryObjectStore
 from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs import feeds
-from core.jobs.job import Job
 from core.jobs.orphans import sweep
-from core.jobs.record_copy import copy_records
 from core.jobs.store import JobQuery
 from core.storage import keys
 from tests.api.conftest import ARTIFACT, Stack
@@ -118,7 +116,6 @@ def test_the_sweep_leaves_a_young_import_and_one_that_was_recorded(
     found = bring(stack.http, exported).json()["id"]
     while feeds.compact(store=stack.store, objects=objects):
         pass
-    assert copy_records(store=stack.store, objects=objects) == 1
     recorded = stack.store.get(found)
     stack.store.delete(found, recorded.version)  # As a database that was restored to an older moment,
     stack.store.deletion_ended(found)  # which knows of no deletion.
@@ -129,5 +126,3 @@ def test_the_sweep_leaves_a_young_import_and_one_that_was_recorded(
     for _ in sweep(store=stack.store, objects=objects):
         pass
     assert [info.key for info in objects.list("")] == before
-    copy = Job.model_validate_json(objects.get(keys.record(found)))
-    assert copy.imported_from == recorded.imported_from

@@ -142,8 +142,9 @@ class TestJobs:
         claimed = held(jobs, queued_job())
         first = claimed.with_artifacts((artifact("b"), artifact("a"), artifact("c")))
         jobs.save(first)
-        struck = first.without_artifact(artifact("a"))
-        jobs.save(struck)
+        struck = first.without_artifacts([artifact("a")])
+        jobs.save(struck, note="It was lost.")
+        assert jobs.feed(claimed.id, "events").entries[-1].data == {"text": "It was lost."}
         newer = artifact("b", key="of b, newer", sha256="1" * 64)
         replaced = struck.with_artifacts((newer, artifact("a")))
         jobs.save(replaced)

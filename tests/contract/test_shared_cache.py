@@ -87,7 +87,7 @@ def test_the_newest_come_first_and_not_too_many(
 def test_the_oldest_make_room_whatever_they_are_of(
     first: Machine, tmp_path: Path, objects: ObjectStore
 ) -> None:
-    objects.put(keys.record("x"), b"is no business of the cache")
+    objects.put(keys.artifact("x", 1, "0" * 64, "video.mp4"), b"is no business of the cache")
     Machine(tmp_path / "outdated", objects, kind="cpu-0").has(z=b"12345").stores(
         "z", at=NOW - timedelta(days=9)
     )
@@ -98,7 +98,7 @@ def test_the_oldest_make_room_whatever_they_are_of(
     first.shared.keep_within(14)
     assert [info.key[-2:] for info in objects.list(keys.caches())] == ["/b", "/a"]
     first.shared.keep_within(5)
-    assert [info.key[-2:] for info in objects.list("")] == ["/a", "on"]
+    assert [info.key[-2:] for info in objects.list("")] == ["/a", "p4"]
 
 
 class Breaking:

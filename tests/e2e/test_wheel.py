@@ -38,7 +38,7 @@ def test_the_cli_shows_commands_of_the_service_only_where_it_is(installed: Insta
     assert shown.returncode == 0, shown.stderr
     commands = {line.split()[0] for line in shown.stdout.partition("Commands:")[2].splitlines() if line}
     assert {"submit", "watch", "models", "import"} <= commands
-    assert not {"api", "demo", "doctor", "recover", "up", "worker"} & commands
+    assert not {"api", "check", "demo", "doctor", "up", "worker"} & commands
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ _WRITES = frozenset(
             "replace_by_chunk",
             "deletion_ended",
         ),
-        *("copied", "restore", "replace_chunk", "announce", "withdraw", "tidy"),
+        *("replace_chunk", "announce", "withdraw", "tidy"),
         *("add_sweep", "save_sweep", "delete_sweep", "add_trial", "save_trial"),
         *("enqueue", "remove"),
         *("put", "put_file", "put_stream", "delete_prefix"),

@@ -28,7 +28,6 @@ from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete, end_deletions
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
-from core.jobs.record_copy import copy_records, read_copy
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, Idempotency, JobQuery
@@ -109,7 +108,6 @@ class Service:
                 self.reconciler = self._new_reconciler()
                 self.reconciler.look()
         self.insist("reconciler", lambda it: feeds.compact(store=it.store, objects=it.objects))
-        self.insist("reconciler", lambda it: copy_records(store=it.store, objects=it.objects))
         self.insist("reconciler", lambda it: it.store.tidy())
         at_once = timedelta(0)
         self.insist("reconciler", lambda it: end_deletions(store=it.store, objects=it.objects, after=at_once))
@@ -368,7 +366,5 @@ def _problems_of_feeds(real: Process, job: Job) -> Iterator[str]:
 
 
 def _may_stay(real: Process, job_id: str) -> set[str]:
-    """What the record names, its copy, and what that one names: `gaitway recover` may need these."""
-    copy = read_copy(job_id, real.objects)
-    copied = set() if copy is None else {artifact.key for artifact in copy.artifacts}
-    return {*real.store.objects_named([job_id]), keys.record(job_id), *copied}
+    """What the record names."""
+    return set(real.store.objects_named([job_id]))

@@ -7,7 +7,6 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from datetime import timedelta
 from pathlib import Path
 
 import httpx
@@ -18,11 +17,10 @@ from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
-from core.errors import JobFailed, JobUnreadable, ObjectDamaged, ObjectNotFound, StorageUnavailable
-from core.jobs import feeds, orphans
+from core.errors import JobFailed, ObjectDamaged, ObjectNotFound, StorageUnavailable
+from core.jobs import feeds
 from core.jobs.attempts import Claim
 from core.jobs.job import Job
-from core.jobs.record_copy import copy_record, copy_records, read_copy
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.storage import keys
@@ -318,24 +316,6 @@ def test_a_file_that_is_served_slowly_for_ever_is_refused_in_seconds(
             assert http.get(f"/jobs/{job.id}/video").json()["type"] == "/problems/object-damaged"
         assert time.monotonic() - began < WITHIN_S
         assert http.get(f"/jobs/{job.id}/video").json()["type"] == "/problems/object-damaged"
-
-
-def test_a_damaged_copy_of_a_record_lets_nothing_be_removed_and_is_written_again(
-    weed: Weed, job_store: PostgresJobStore, object_store: S3ObjectStore
-) -> None:
-    job = with_file(job_store, object_store, b"x")
-    copy_records(store=job_store, objects=object_store)
-    object_store.put(f"jobs/{job.id}/attempts/1/0123456789abcdef/unnamed", b"x")
-    damage(weed, object_store.get(keys.record(job.id)))
-    fresh = S3ObjectStore(object_store._client, object_store._bucket)
-    before = {info.key for info in fresh.list("")}
-    for _ in orphans.sweep(store=job_store, objects=fresh, grace=-timedelta(days=1)):
-        pass
-    assert {info.key for info in fresh.list("")} >= before
-    with pytest.raises(JobUnreadable, match="damaged"):
-        read_copy(job.id, fresh)
-    copy_record(job, fresh)
-    assert read_copy(job.id, fresh) == job
 
 
 def test_a_feed_with_a_lost_chunk_shows_the_rest_and_says_what_is_missing(

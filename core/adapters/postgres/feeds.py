@@ -191,8 +191,17 @@ class Feeds(Session):
             return [_entry_of(*row) for row in connection.execute(_OLDEST, asked)]
 
     def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:
+        name = insert(chunks).values(job_id=job_id, **asdict(chunk)).on_conflict_do_nothing()
+        held = delete(entries).where(
+            entries.c.job_id == job_id,
+            entries.c.channel == chunk.channel,
+            entries.c.number.between(chunk.first, chunk.last),
+        )
         with self._transaction() as connection:  # So that a reader finds each entry in one place.
-            _replace_by_chunk(connection, job_id, chunk)
+            if not rows.hold_job(connection, job_id):
+                return
+            if connection.execute(name.returning(chunks.c.first)).first() is not None:
+                connection.execute(held)
 
     def chunks(self, job_ids: Collection[str]) -> Mapping[str, Sequence[Chunk]]:
         found: dict[str, list[Chunk]] = defaultdict(list)
@@ -277,31 +286,3 @@ def _text(entry: Entry) -> str:
 def _entry_of(number: int, kind: str, time: Any, data: str) -> Entry:
     """time: a datetime, or text in ISO 8601."""
     return Entry(id=str(number), kind=kind, time=time, data=json.loads(data))
-
-
-def adopt(connection: Connection, job_id: str, found: Sequence[Chunk]) -> None:
-    """Name chunks that were made earlier; entries appended later are numbered after them."""
-    for chunk in found:
-        _replace_by_chunk(connection, job_id, chunk)
-        counter = _NUM[chunk.channel]
-        highest = func.greatest(counter, chunk.last)
-        connection.execute(update(jobs).where(jobs.c.id == job_id).values({counter.name: highest}))
-
-
-def _replace_by_chunk(connection: Connection, job_id: str, chunk: Chunk) -> None:
-    if not rows.hold_job(connection, job_id):
-        return
-    named = connection.execute(
-        insert(chunks)
-        .values(job_id=job_id, **asdict(chunk))
-        .on_conflict_do_nothing()
-        .returning(chunks.c.first)
-    ).first()
-    if named is not None:
-        connection.execute(
-            delete(entries).where(
-                entries.c.job_id == job_id,
-                entries.c.channel == chunk.channel,
-                entries.c.number.between(chunk.first, chunk.last),
-            )
-        )

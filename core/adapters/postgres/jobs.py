@@ -38,10 +38,10 @@ from core.adapters.postgres.tables import (
     jobs,
 )
 from core.errors import IdempotencyKeyReused, JobExists, JobInUse, JobNotFound, JobUnreadable, StaleJob
-from core.jobs.entries import status_entry
-from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id, utc_now
+from core.jobs.entries import note_entry, status_entry
+from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id
 from core.jobs.status import JobStatus
-from core.jobs.store import Chunk, Entry, Idempotency, JobQuery, Mark, Page
+from core.jobs.store import Entry, Idempotency, JobQuery, Mark, Page
 
 KEYS_REMEMBERED = timedelta(hours=24)
 # Rows of one call, which has two seconds: an import of 5,000 files was refused as an outage.
@@ -116,9 +116,9 @@ class Jobs(Session):
     def get(self, job_id: str) -> Job:
         return rows.readable(self.find(job_id))
 
-    def save(self, job: Job, *, lease: timedelta | None = None) -> None:
+    def save(self, job: Job, *, lease: timedelta | None = None, note: str | None = None) -> None:
         with self._transaction() as connection:
-            _save(connection, job, lease=lease)
+            _save(connection, job, lease=lease, note=note)
 
     def take_back(self, job: Job) -> None:
         with self._transaction() as connection:
@@ -179,33 +179,6 @@ class Jobs(Session):
         named = [select(table.c.key).where(table.c.job_id.in_(job_ids)) for table in (artifacts, chunks)]
         with self._statements() as connection:
             return set(connection.execute(union_all(*named)).scalars())
-
-    def uncopied(self, *, limit: int) -> Sequence[Job | UnreadableJob]:
-        wanted = select(jobs).where(jobs.c.copied_version != jobs.c.version, jobs.c.num_attempts > 0)
-        with self._statements() as connection:
-            found = connection.execute(wanted.order_by(jobs.c.id).limit(limit)).all()
-            return rows.jobs_of_rows(connection, found)
-
-    def copied(self, job_id: str, version: int) -> bool:
-        marked = update(jobs).where(jobs.c.id == job_id).values(copied_version=version).returning(jobs.c.id)
-        with self._statements() as connection:
-            return connection.execute(marked).first() is not None
-
-    def restore(self, job: Job, *, replaces: int | None, note: str, chunks: Sequence[Chunk] = ()) -> None:
-        said = [Entry(kind="note", time=utc_now(), data={"text": note})]
-        try:
-            with self._transaction() as connection:
-                if replaces is None:
-                    connection.execute(insert(jobs).values(rows.new_job_values(job)))
-                elif _replace(connection, job, replaces).status != job.status:
-                    said.append(status_entry(job))
-                _write_attempts(connection, job.id, job.attempts)
-                _write_artifacts(connection, job)
-                feeds.adopt(connection, job.id, chunks)
-                feeds.append(connection, job.id, "events", said, job.progress)
-                leases.update_dispatch(connection, job)
-        except IntegrityError:
-            raise JobExists(job.id) from None
 
 
 def hashed(key: str) -> str:
@@ -269,26 +242,14 @@ def _new_key() -> Any:
 # ---- The next version of a job, written if the stored version is the one before. -------------------------
 
 
-def _save(connection: Connection, job: Job, *conditions: Any, lease: timedelta | None = None) -> None:
-    """Write the job, its attempts and artifacts, the event and the dispatch of a change of status.
-
-    Raises StaleJob, JobNotFound.
-    """
-    before = _replace(connection, job, job.version - 1, *conditions, lease=lease)
-    # A step changes the last attempt, or the one before it.
-    _write_attempts(connection, job.id, job.attempts[-2:])
-    if job.artifacts or before.has_artifacts:
-        _write_artifacts(connection, job)
-    if before.status != job.status:
-        feeds.append(connection, job.id, "events", [status_entry(job)])
-    if JobStatus.QUEUED in (before.status, job.status):
-        leases.update_dispatch(connection, job)
-
-
-def _replace(
-    connection: Connection, job: Job, version: int, *conditions: Any, lease: timedelta | None = None
-) -> Any:
-    """Replace this version in the job's own row; returns the `status` from before, and `has_artifacts`.
+def _save(
+    connection: Connection,
+    job: Job,
+    *conditions: Any,
+    lease: timedelta | None = None,
+    note: str | None = None,
+) -> None:
+    """Write the job, its attempts and artifacts, its events, and the dispatch of a change of status.
 
     Raises StaleJob, JobNotFound.
     """
@@ -297,17 +258,26 @@ def _replace(
     same_holder = jobs.c.token == job.token
     kept = case((same_holder, jobs.c.lease_until), else_=None) if job.token else None
     values["lease_until"] = NOW + rows.interval(lease) if lease is not None and job.token else kept
-    before = select(jobs.c.status).where(jobs.c.id == job.id).scalar_subquery()
+    status = select(jobs.c.status).where(jobs.c.id == job.id).scalar_subquery()
     has_artifacts = exists().where(artifacts.c.job_id == job.id)
-    changed = connection.execute(
+    before = connection.execute(
         update(jobs)
-        .where(jobs.c.id == job.id, jobs.c.version == version, *conditions)
+        .where(jobs.c.id == job.id, jobs.c.version == job.version - 1, *conditions)
         .values(values)
-        .returning(before.label("status"), has_artifacts.label("has_artifacts"))
+        .returning(status.label("status"), has_artifacts.label("has_artifacts"))
     ).first()
-    if changed is None:
+    if before is None:
         _refuse(connection, job.id)
-    return changed
+    # A step changes the last attempt, or the one before it.
+    _write_attempts(connection, job.id, job.attempts[-2:])
+    if job.artifacts or before.has_artifacts:
+        _write_artifacts(connection, job)
+    if before.status != job.status:
+        feeds.append(connection, job.id, "events", [status_entry(job)])
+    if note is not None:
+        feeds.append(connection, job.id, "events", [note_entry(note)])
+    if JobStatus.QUEUED in (before.status, job.status):
+        leases.update_dispatch(connection, job)
 
 
 def _write_attempts(connection: Connection, job_id: str, changed: Sequence[Attempt]) -> None:

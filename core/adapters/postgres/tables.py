@@ -73,8 +73,6 @@ jobs = Table(
     Column("num_events", BigInteger, nullable=False, server_default="0"),
     Column("num_logs", BigInteger, nullable=False, server_default="0"),
     Column("last_write", Text),
-    # The version that was last copied into the object store.
-    Column("copied_version", Integer, nullable=False, server_default="0"),
     # The name of RQ's queue for its next attempt; null where an older version wrote the row.
     Column("queue", Text),
     # Free space in each page: a renewed lease then touches no index.
@@ -91,8 +89,6 @@ UNFINISHED = ("queued", "starting", "running", "cancelling")
 _IS_UNFINISHED = text("status IN ('queued', 'starting', 'running', 'cancelling')")
 Index("jobs_queued", jobs.c.queue, jobs.c.id, postgresql_where=text("status = 'queued'"))
 Index("jobs_unfinished", jobs.c.id, postgresql_where=_IS_UNFINISHED)
-_IS_TO_COPY = text("copied_version <> version AND num_attempts > 0")
-Index("jobs_to_copy", jobs.c.id, postgresql_where=_IS_TO_COPY)
 Index("jobs_by_source", jobs.c.source, postgresql_where=_IS_UNFINISHED)
 
 

@@ -1,4 +1,4 @@
-"""The parts of a worker, and of the reconciler that copies what it does, played by a test."""
+"""The parts of a worker, played by a test."""
 
 import hashlib
 import secrets
@@ -9,7 +9,6 @@ from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import Artifact, Job
-from core.jobs.record_copy import copy_records
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry, JobStore
@@ -60,7 +59,6 @@ class PlayedWorker:
         name = f"checkpoint-{step:012d}.msgpack"
         artifact = self.upload(claim, name, f"{claim.job_id} {step}".encode(), step)
         claim.publish((artifact,), keep)
-        copy_records(store=self.store, objects=self.objects)
         return artifact
 
     def upload(self, claim: Claim, name: str, body: bytes, step: int | None = None) -> Artifact:
@@ -80,6 +78,4 @@ class PlayedWorker:
         self.store.record(claim.job_id, claim.token, channel, entries, write_id=secrets.token_hex(8))
 
     def succeed(self, claim: Claim) -> Job:
-        job = claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "It came to its end.")
-        copy_records(store=self.store, objects=self.objects)
-        return job
+        return claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "It came to its end.")

@@ -13,7 +13,6 @@ from core.jobs import columns, feeds
 from core.jobs.columns import GROUP
 from core.jobs.curves import Curves
 from core.jobs.deletion import delete
-from core.jobs.lost_feeds import close_gap
 from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Entry
 from core.reasons import Reason
@@ -146,7 +145,7 @@ def test_columns_are_of_the_chunks_that_the_record_names_or_not_read(run: Run) -
     run.measure_chunks(GROUP)
     run.compact()
     first = run.chunks()[0]
-    close_gap(run.id, first, store=run.store, objects=run.objects)
+    feeds.close_gap(run.id, first, store=run.store, objects=run.objects)
     assert run.in_columns() == []
     assert run.drawn() == run.by_lines()
     assert list(run.drawn()["a"].steps) == list(range(1, PER_CHUNK * GROUP - 2))

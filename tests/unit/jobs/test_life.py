@@ -32,7 +32,6 @@ from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete, end_deletions
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
-from core.jobs.record_copy import copy_record, copy_records, read_copy
 from core.jobs.spec import JOB_SPEC, Source
 from core.jobs.status import JobStatus
 from core.jobs.store import Idempotency, JobQuery
@@ -669,50 +668,6 @@ def test_a_job_is_not_deleted_between_the_check_and_the_end_of_a_submission_that
     with pytest.raises(Rejected) as refused:
         service.submit(resume_from={"job": source.id})
     assert [problem.pointer for problem in refused.value.problems] == ["/resume_from/job"]
-
-
-def test_a_copy_of_a_begun_job_follows_its_record_through_an_outage_of_the_object_store(
-    service: Service,
-) -> None:
-    class Frail(MemoryObjectStore):
-        def put(self, *_: object, **__: object) -> None:
-            raise StorageUnavailable("away")
-
-    waits, job = service.submit(), service.submit()
-    claim = service.claim(job)
-    published, _ = claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
-    assert copy_records(store=service.store, objects=service.objects) == 1
-    assert read_copy(job.id, service.objects) == published
-    assert read_copy(waits.id, service.objects) is None
-    assert copy_records(store=service.store, objects=service.objects) == 0
-    ended = claim.end(JobStatus.FAILED, Reason.DIVERGED, "NaN")
-    with pytest.raises(StorageUnavailable):
-        copy_records(store=service.store, objects=Frail())
-    assert copy_records(store=service.store, objects=service.objects) == 1
-    assert read_copy(job.id, service.objects) == ended
-
-
-def test_a_record_that_is_older_than_its_copy_leaves_it(service: Service) -> None:
-    # As after the restore of an older database.
-    job = service.submit()
-    service.claim(job)
-    newer = service.store.get(job.id).model_copy(update={"version": 12})
-    copy_record(newer, service.objects)
-    assert [copy_records(store=service.store, objects=service.objects) for _ in range(2)] == [1, 0]
-    assert read_copy(job.id, service.objects) == newer
-
-
-def test_a_job_that_is_deleted_while_it_is_copied_leaves_no_copy(service: Service) -> None:
-    class Slow(MemoryObjectStore):
-        def put(self, *arguments: Any, **options: Any) -> None:
-            service.delete(job)
-            super().put(*arguments, **options)
-
-    job = service.submit()
-    service.claim(job).end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
-    objects = Slow()
-    assert copy_records(store=service.store, objects=objects) == 1
-    assert list(objects.list("")) == []
 
 
 def test_the_queue_gets_only_as_many_jobs_as_workers_take_soon_and_each_has_its_turn(

@@ -13,7 +13,6 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.errors import StorageUnavailable
 from core.jobs import feeds
 from core.jobs.orphans import sweep
-from core.jobs.record_copy import copy_record
 from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
 from core.storage import keys
@@ -71,11 +70,11 @@ def test_an_object_that_no_record_names_is_removed_after_a_day(
     young = worker.upload(claim, "young", b"not published yet")
     chunks = [chunk.key for chunk in jobs.chunks([claim.job_id])[claim.job_id]]
     assert len(chunks) == 2  # of the events, and of the logs
-    assert len(objects.keys()) == 7
+    assert len(objects.keys()) == 6
 
     said = sweep_all(jobs, objects)
 
-    assert objects.keys() == sorted([kept.key, young.key, keys.record(claim.job_id), *chunks])
+    assert objects.keys() == sorted([kept.key, young.key, *chunks])
     assert said == [{"event": "orphans_removed", "num_objects": 2, "log_level": "info"}]
     assert sweep_all(jobs, objects) == []
 
@@ -99,50 +98,12 @@ def test_objects_of_a_job_that_the_record_does_not_know_are_left_and_counted(
     jobs: JobStore, objects: AgingObjects, worker: PlayedWorker
 ) -> None:
     worker.run()
-    for name in ("a", "b", "record.json"):
+    for name in ("a", "b", "c"):
         objects.put(f"jobs/{NOBODYS}/{name}", b"x")
     before = objects.keys()
     [said] = sweep_all(jobs, objects)
     assert objects.keys() == before
     assert (said["event"], said["unknown_jobs"], said["unknown_objects"]) == ("objects_left_alone", 1, 3)
-
-
-def test_a_job_whose_copy_is_newer_than_its_record_is_left_alone(
-    jobs: JobStore, objects: AgingObjects, worker: PlayedWorker
-) -> None:
-    # As after the restore of an older database: the copy knows of steps that the record has forgotten.
-    job = worker.submit()
-    copy_record(job.model_copy(update={"version": 12}), objects)
-    objects.put(f"{keys.job(job.id)}logs/000000000001-0123456789abcdef.jsonl", b"{}")
-    before = objects.keys()
-    [said] = sweep_all(jobs, objects)
-    assert objects.keys() == before
-    assert said["jobs_behind_their_copies"] == 1
-
-
-def test_what_an_older_copy_names_is_left_too(
-    jobs: JobStore, objects: AgingObjects, worker: PlayedWorker
-) -> None:
-    # As after the restore of an older bucket: the record has gone on to other checkpoints.
-    claim = worker.begin(worker.submit())
-    worker.checkpoint(claim, 1)
-    older = objects.get(keys.record(claim.job_id))
-    worker.checkpoint(claim, 2, keep=1)
-    objects.put(keys.record(claim.job_id), older)
-    before = objects.keys()
-    assert sweep_all(jobs, objects) == []
-    assert objects.keys() == before
-
-
-def test_a_copy_that_cannot_be_read_protects_its_job(
-    jobs: JobStore, objects: AgingObjects, worker: PlayedWorker
-) -> None:
-    claim = worker.begin(worker.submit())
-    worker.upload(claim, "dropped", b"never published")
-    objects.put(keys.record(claim.job_id), b"{}")
-    before = objects.keys()
-    sweep_all(jobs, objects)
-    assert objects.keys() == before
 
 
 def test_an_object_that_is_put_again_meanwhile_stays(jobs: JobStore) -> None:
@@ -169,7 +130,7 @@ def test_nothing_of_a_job_at_work_is_removed(
     artifact = worker.checkpoint(claim, 1)
     sweep_all(jobs, objects)
     assert jobs.get(claim.job_id).status == JobStatus.RUNNING
-    assert objects.keys() == [artifact.key, keys.record(claim.job_id)]
+    assert objects.keys() == [artifact.key]
 
 
 class TestModels:

@@ -10,19 +10,18 @@ OTHER_HASH = "fedcba9876543210" + 48 * "0"
 
 def test_everything_of_a_job_lies_under_its_prefix() -> None:
     under = [
-        keys.record(JOB),
         keys.artifact(JOB, 1, HASH, "video.mp4"),
         keys.chunk(JOB, "events", 1, HASH),
         keys.chunk(JOB, "logs", 1, HASH),
     ]
     assert all(key.startswith(keys.job(JOB)) for key in under)
-    assert len(set(under)) == 4
+    assert len(set(under)) == 3
 
 
 def test_an_object_of_a_job_tells_whose_it_is() -> None:
     assert keys.job_of(keys.artifact(JOB, 1, HASH, "video.mp4")) == JOB
     assert keys.job_of(keys.chunk(JOB, "logs", 1, HASH)) == JOB
-    assert keys.record(JOB).startswith(keys.jobs())
+    assert keys.job(JOB).startswith(keys.jobs())
 
 
 def test_no_job_lies_under_the_prefix_of_another() -> None:
@@ -49,7 +48,6 @@ def test_chunks_sort_by_their_first_entries() -> None:
 
 
 def test_every_store_keeps_these_keys() -> None:
-    assert is_portable(keys.record(JOB))
     assert is_portable(keys.chunk(JOB, "events", 1, HASH))
     assert is_portable(keys.artifact(JOB, 12, HASH, "checkpoint-000000500000.npz"))
 
