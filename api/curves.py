@@ -4,8 +4,8 @@ from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from math import isnan
 
-from api.views import MetricsRow
 from core.jobs.curves import Curves
+from gaitway.schema import MetricsRow
 
 # In one answer, which is written at once: 5,900 rows of ten metrics.
 MOST_VALUES = 100_000

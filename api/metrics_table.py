@@ -5,8 +5,8 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from api.views import MetricsRow
 from core.jobs.store import Entry
+from gaitway.schema import MetricsRow
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # A row's step, and the names that were measured.

@@ -2,22 +2,45 @@
 
 import ctypes
 import json
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from fastapi import FastAPI, Response
+from fastapi.encoders import jsonable_encoder
 from fastapi.openapi.utils import get_openapi
+from pydantic import TypeAdapter
 
 from api.problems import MEDIA_TYPE, ProblemView
 from api.submissions import RESUMPTION
 from core.bounds import LARGEST_JOB_BYTES
+from core.environments.info import Device
+from core.jobs.job import ArtifactRole, JobPhase
 from core.jobs.spec import JOB_SPEC
+from core.jobs.status import JobStatus
+from core.physics.availability import EngineName
+from core.reasons import Reason
 from core.settings import ApiSettings
 from core.sweeps.spec import SWEEP_SPEC
+from core.sweeps.sweep import SweepStatus
+from core.user_models.record import Description, ModelStatus
 
 _REF = "#/components/schemas/{model}"
+# What `gaitway.schema` names without defining it. Those that are classes become components.
+_VALUES: dict[str, Any] = {
+    "ArtifactRole": ArtifactRole,
+    "Description": Description,
+    "Device": Device,
+    "EngineName": EngineName,
+    "JobPhase": JobPhase,
+    "JobStatus": JobStatus,
+    "ModelStatus": ModelStatus,
+    "PreviewStatus": Literal["ready", "drawing"],
+    "Reason": Reason,
+    "SweepStatus": SweepStatus,
+}
 _PROBLEM = {"content": {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}}
 
 
@@ -35,6 +58,7 @@ def describe(app: FastAPI) -> dict[str, Any]:
         schemas.update({**schema.pop("$defs"), name: schema})
     for name, most in (("JobSpec", LARGEST_JOB_BYTES), ("SweepSpec", limits.max_body_bytes)):
         schemas[name]["x-maxBytes"] = most
+    _define_values(schemas)
     schemas["Problem"] = ProblemView.model_json_schema(ref_template=_REF)
     schemas.update(schemas["Problem"].pop("$defs", {}))
     _require_tags(schemas)
@@ -93,21 +117,44 @@ def _answer_with_problems(responses: dict[str, Any]) -> None:
     responses["default"] = {"description": "Any other refusal", **_PROBLEM}
 
 
+def _define_values(schemas: dict[str, Any]) -> None:
+    """Replace each `x-values` by the service's type of that name."""
+    for node in list(_nodes(schemas)):
+        if (name := node.pop("x-values", None)) is None:
+            continue
+        schema = TypeAdapter(_VALUES[name]).json_schema(ref_template=_REF, mode="serialization")
+        schema = jsonable_encoder(schema, exclude_none=True)  # as FastAPI writes its own
+        schemas.update(schema.pop("$defs", {}))
+        if isinstance(_VALUES[name], type):
+            schemas[name] = schema
+            node.pop("type", None)
+            node.pop("title", None)
+            node["$ref"] = _REF.format(model=name)
+        else:
+            node.update(schema)
+
+
 def _require_tags(schemas: dict[str, Any]) -> None:
     """Make the discriminator of each union required, although each member has a default for it.
 
     Only PPO's stays optional: an algorithm without `kind` is PPO.
     """
+    for node in _nodes(schemas):
+        union = node.get("discriminator", {})
+        for reference in union.get("mapping", {}).values():
+            member = schemas[reference.rpartition("/")[2]]
+            if member is not schemas["PPOSpec"]:
+                member["required"] = sorted({*member.get("required", ()), union["propertyName"]})
+
+
+def _nodes(schemas: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """All objects in these schemas."""
     waiting: list[Any] = list(schemas.values())
     while waiting:
         node = waiting.pop()
         if isinstance(node, dict):
             found = cast("dict[str, Any]", node)
-            union = found.get("discriminator", {})
-            for reference in union.get("mapping", {}).values():
-                member = schemas[reference.rpartition("/")[2]]
-                if member is not schemas["PPOSpec"]:
-                    member["required"] = sorted({*member.get("required", ()), union["propertyName"]})
+            yield found
             waiting += found.values()
         elif isinstance(node, list):
             waiting += cast("list[Any]", node)

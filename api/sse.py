@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Collection, Sequence
 from pydantic_core import to_json
 
 from api.following import Follower
-from api.views import JobView
+from api.views import job_view
 from core.jobs.job import Job, UnreadableJob
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry
@@ -54,7 +54,7 @@ def _is_the_end(entry: Entry) -> bool:
 
 
 def _final(job: Job | UnreadableJob) -> Entry:
-    view = JobView.of(job)
+    view = job_view(job)
     data = {
         "status": view.status,
         "reason": view.reason,

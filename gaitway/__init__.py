@@ -4,8 +4,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gaitway.async_client import AsyncClient
-    from gaitway.client import Client
+    from gaitway.async_client import AsyncClient, AsyncJob
+    from gaitway.client import Client, Job
     from gaitway.errors import (
         ApiError,
         Conflict,
@@ -23,19 +23,21 @@ if TYPE_CHECKING:
         WrongAddress,
     )
     from gaitway.retry import Retry
-    from gaitway.sweep_views import SweepView
-    from gaitway.views import ArtifactView, Event, JobView, MetricsRow, Page, ProgressView
+    from gaitway.schema import ArtifactView, JobView, MetricsRow, ProgressView, SweepView
+    from gaitway.views import Event, Page
 
 __all__ = [
     "ApiError",
     "ArtifactView",
     "AsyncClient",
+    "AsyncJob",
     "Client",
     "Conflict",
     "DownloadFailed",
     "Event",
     "FieldError",
     "GaitwayError",
+    "Job",
     "JobView",
     "MetricsRow",
     "MissingExtra",
@@ -54,8 +56,8 @@ __all__ = [
 ]
 _HOMES = (
     "gaitway.errors",
+    "gaitway.schema",
     "gaitway.views",
-    "gaitway.sweep_views",
     "gaitway.retry",
     "gaitway.client",
     "gaitway.async_client",

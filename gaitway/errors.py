@@ -15,7 +15,8 @@ GaitwayError
 └── MissingExtra       a part of the package is not installed
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -107,6 +108,22 @@ class PolicyUnreadable(GaitwayError):
 
 class MissingExtra(GaitwayError, ImportError):
     """Needs an optional part of the package."""
+
+
+def is_refusal(response: httpx.Response) -> bool:
+    """Whether it is a problem, whose body tells more."""
+    return not response.is_success and response.status_code != 304
+
+
+@contextmanager
+def reachable(url: str) -> Generator[None]:
+    """Raises Unreachable for whatever keeps an answer from coming."""
+    try:
+        yield
+    except (httpx.TransportError, httpx.StreamError) as error:
+        raise Unreachable(url, str(error) or type(error).__name__) from error
+    except (httpx.InvalidURL, httpx.TooManyRedirects, httpx.DecodingError) as error:
+        raise Unreachable(url, str(error)) from error
 
 
 def problem_of(response: httpx.Response) -> ApiError:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from gaitway.errors import MissingExtra
-from gaitway.views import MetricsRow
+from gaitway.schema import MetricsRow
 
 
 def maker(as_: str) -> Callable[[Sequence[MetricsRow]], Any]:
@@ -22,6 +22,12 @@ def maker(as_: str) -> Callable[[Sequence[MetricsRow]], Any]:
     except ImportError as error:
         raise MissingExtra(f"Metrics as {as_} need that package: `pip install {as_}`.") from error
     return lambda rows: package.DataFrame(columns(rows))
+
+
+def only(names: Sequence[str], rows: Sequence[MetricsRow]) -> list[MetricsRow]:
+    """The rows that have one of these metrics, without their other ones."""
+    chosen = [({name: row.values[name] for name in row.values if name in names}, row) for row in rows]
+    return [row.model_copy(update={"values": values}) for values, row in chosen if values]
 
 
 def columns(rows: Sequence[MetricsRow]) -> dict[str, list[Any]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from gaitway.errors import MissingExtra
 
 if TYPE_CHECKING:
-    from gaitway.views import JobView
+    from gaitway.schema import JobView
 
 # A larger video is not put into a notebook, which would grow by a third more.
 MOST_BYTES = 16 * 2**20

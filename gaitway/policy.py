@@ -5,7 +5,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gaitway.errors import MissingExtra, PolicyUnreadable
+from gaitway.errors import MissingExtra, NotFound, PolicyUnreadable
+from gaitway.schema import ArtifactView, JobView
 
 if TYPE_CHECKING:
     import jax
@@ -48,8 +49,47 @@ READERS: dict[str, Callable[[], Reader]] = {
 }
 
 
+# Their policies are read from the files for programs elsewhere; their own files are for Brax.
+_EXPORTED = ("ppo", "sac")
+
+
+def file_of(job: JobView, step: int | None, best: bool) -> ArtifactView:
+    """The file to load: that of this checkpoint, or of the best policy, or of the last one.
+
+    Raises NotFound; and ValueError where both `step` and `best` are given.
+    """
+    if best and step is not None:
+        raise ValueError("A policy is that of a step or the best one: give one of the two.")
+    own = job.newest("best_policy" if best else "policy") if step is None else None
+    if own is not None:
+        if algorithm_of(job) not in _EXPORTED:
+            return own
+        exported = job.artifact(f"{own.name}.npz")
+        if exported is not None and exported.step == own.step:
+            return exported
+    checkpoint = None if best and own is None else job.newest("checkpoint", own.step if own else step)
+    if checkpoint is not None:
+        return checkpoint
+    if own is not None:
+        when = "" if job.is_final else ", which is written when the training ends"
+        raise _absent(job, f"{own.name}.npz{when}. Its file {own.name} is for `brax.io.model.load_params`")
+    if best:
+        raise _absent(job, "best policy: no evaluation kept one (yet)")
+    steps = [str(artifact.step) for artifact in job.artifacts if artifact.role == "checkpoint"]
+    which = "policy" if step is None else f"checkpoint of step {step}"
+    raise _absent(job, f"{which}; its checkpoints: {', '.join(steps) or 'none yet'}")
+
+
+def _absent(job: JobView, what: str) -> NotFound:
+    return NotFound(404, {"detail": f"Job {job.id} has no {what}."})
+
+
+def algorithm_of(job: JobView) -> str:
+    return job.spec.get("algorithm", {}).get("kind", "ppo")
+
+
 def load(path: Path, algorithm: str, *, is_checkpoint: bool, deterministic: bool = True) -> Policy:
-    """The policy in a file of this algorithm as a jitted `act(observation, key=None)` -> the policy's output:
+    """The policy in a file that `file_of` names, as a jitted `act(observation, key=None)` -> its output:
     an action, or for Q-learning and DQN what is chosen (docs/q_learning.md, docs/dqn.md).
 
     observation: the input of the algorithm's policies; for networks [..., observation_size]. An action is

@@ -1,12 +1,9 @@
-"""How calls are repeated."""
+"""How a request is repeated."""
 
 import random
 from dataclasses import dataclass
 
-import httpx
-
-from gaitway.errors import ApiError, Unavailable, Unreachable, problem_of
-from gaitway.steps import Call, Request, Send, Sleep
+from gaitway.errors import ApiError
 
 
 @dataclass(frozen=True)
@@ -28,21 +25,3 @@ class Retry:
         # Jitter, so that many clients do not retry in step.
         doubled_s = self.first_delay_s * 2 ** min(failures - 1, 20)
         return min(doubled_s, self.max_delay_s) * random.uniform(0.75, 1.0)  # noqa: S311
-
-
-def request(retry: Retry, asked: Request) -> Call[httpx.Response]:
-    """The whole answer to a request that may be repeated. Raises ApiError, and Unreachable when no try got an
-    answer."""
-    for failures in range(1, retry.attempts + 1):
-        try:
-            response: httpx.Response = yield Send(asked)
-            # A retried DELETE may find that the first one has worked although its answer was lost.
-            worked_before = asked.method == "DELETE" and failures > 1 and response.status_code == 404
-            if response.is_success or worked_before:
-                return response
-            raise problem_of(response)
-        except (Unreachable, Unavailable) as error:
-            if failures == retry.attempts:
-                raise
-            yield Sleep(retry.delay_s(failures, error))
-    raise AssertionError("a Retry needs at least one attempt")

@@ -1,4 +1,4 @@
-"""Server-sent events, read line by line (WHATWG HTML, section 9.2.6)."""
+"""Server-sent events (WHATWG HTML, section 9.2.6)."""
 
 import re
 from dataclasses import dataclass
@@ -15,38 +15,6 @@ class ServerSentEvent:
     id: str
 
 
-@dataclass(frozen=True)
-class Comment:
-    """A line without data, which shows that the connection is alive."""
-
-
-class Parser:
-    """Makes events of a stream's lines; one cut off by the stream's end is dropped."""
-
-    def __init__(self, last_id: str = "") -> None:
-        self._last_id = last_id
-        self._kind = ""
-        self._data = list[str]()
-
-    def take(self, line: str) -> ServerSentEvent | Comment | None:
-        """What this line, without its end, completes."""
-        if not line:
-            kind, data = self._kind or "message", self._data
-            self._kind, self._data = "", []
-            return ServerSentEvent(kind, "\n".join(data), self._last_id) if data else None
-        name, _, value = line.partition(":")
-        value = value.removeprefix(" ")
-        if name == "":
-            return Comment()
-        if name == "event":
-            self._kind = value
-        elif name == "data":
-            self._data.append(value)
-        elif name == "id" and "\0" not in value:
-            self._last_id = value
-        return None
-
-
 class Lines:
     """Makes lines of a UTF-8 stream; only CR, LF and CRLF end one (unlike `str.splitlines`)."""
 
@@ -57,3 +25,35 @@ class Lines:
         """The lines that these bytes complete."""
         *whole, self._rest = _LINE_END.split(self._rest + chunk)
         return [line.decode("utf-8", "replace") for line in whole]
+
+
+class Stream:
+    """Makes events of a stream's bytes; one cut off by the stream's end is dropped, as comments are.
+
+    last_id: the latest id of the connection before.
+    """
+
+    def __init__(self, last_id: str = "") -> None:
+        self._lines = Lines()
+        self._last_id = last_id
+        self._kind = ""
+        self._data = list[str]()
+
+    def take(self, chunk: bytes) -> list[ServerSentEvent]:
+        """The events that these bytes complete."""
+        return [event for line in self._lines.take(chunk) if (event := self._take_line(line)) is not None]
+
+    def _take_line(self, line: str) -> ServerSentEvent | None:
+        if not line:
+            kind, data = self._kind or "message", self._data
+            self._kind, self._data = "", []
+            return ServerSentEvent(kind, "\n".join(data), self._last_id) if data else None
+        name, _, value = line.partition(":")
+        value = value.removeprefix(" ")
+        if name == "event":
+            self._kind = value
+        elif name == "data":
+            self._data.append(value)
+        elif name == "id" and "\0" not in value:
+            self._last_id = value
+        return None

@@ -65,6 +65,12 @@ def files(network: Network, origin: Origin = ORIGIN) -> tuple[bytes, bytes]:
     return numpy_file(network, about), onnx_file(network, about)
 
 
+def numpy_file_of(policy: bytes) -> bytes:
+    """The `policy.npz` of a policy file of PPO or SAC."""
+    network = network_of(policy)
+    return numpy_file(network, contract(network, ORIGIN))
+
+
 def numpy_answers(content: bytes, observations: Any) -> Numbers:
     return exported_policy.load(io.BytesIO(content))(observations)
 

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Path, Query
 from pydantic import Field
 
 from api.dependencies import Parameters, ServiceDep
-from api.environment_views import AlgorithmView, EnvironmentDetails, EnvironmentView
+from api.environment_views import AlgorithmView, environment_details, environment_view
 from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
 from api.problems import refusals
 from api.views import Listing
@@ -16,6 +16,7 @@ from core.bounds import LONGEST_NAME
 from core.environments.catalog import ENVIRONMENTS
 from core.errors import EnvironmentNotFound, RecordsUnavailable, Rejected
 from core.jobs.workers import WORKER_NAME, WorkerInfo
+from gaitway.schema import EnvironmentDetails, EnvironmentView
 
 router = APIRouter(tags=["catalog"])
 
@@ -32,7 +33,7 @@ def list_environments(
 ) -> Listing[EnvironmentView]:
     """Environments with their options, cameras and tuned hyperparameters; our own come first."""
     wanted = [info for info in ENVIRONMENTS.values() if family in (None, info.family)]
-    return Listing[EnvironmentView](items=[EnvironmentView.of(info) for info in wanted])
+    return Listing[EnvironmentView](items=[environment_view(info) for info in wanted])
 
 
 Options = Annotated[
@@ -53,7 +54,7 @@ def read_environment(
     options: Options = None,
 ) -> EnvironmentDetails:
     """One of our own environments, with the hyperparameters that a job on it gets by default."""
-    return EnvironmentDetails.of(info_under(environment_id, options, service.store))
+    return environment_details(info_under(environment_id, options, service.store))
 
 
 @router.get("/environments/playground/{name}", responses=_REFUSALS)
@@ -63,7 +64,7 @@ def read_playground_environment(
     options: Options = None,
 ) -> EnvironmentDetails:
     """One of MuJoCo Playground's environments."""
-    return EnvironmentDetails.of(info_under(f"playground/{name}", options, service.store))
+    return environment_details(info_under(f"playground/{name}", options, service.store))
 
 
 @router.get("/environments/brax/{name}", responses=_REFUSALS)
@@ -73,7 +74,7 @@ def read_brax_environment(
     options: Options = None,
 ) -> EnvironmentDetails:
     """One of Brax's environments."""
-    return EnvironmentDetails.of(info_under(f"brax/{name}", options, service.store))
+    return environment_details(info_under(f"brax/{name}", options, service.store))
 
 
 @router.get("/algorithms")

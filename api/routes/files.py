@@ -10,7 +10,7 @@ from api.answers import answer
 from api.dependencies import JobId, Parameters, ServiceDep
 from api.files import file_response, responses
 from api.problems import refusals
-from api.views import ArtifactView, Listing
+from api.views import Listing, artifact_view
 from core.algorithms.catalog import ALGORITHMS
 from core.bounds import LONGEST_NAME
 from core.errors import (
@@ -25,6 +25,7 @@ from core.errors import (
 )
 from core.jobs.job import Artifact, ArtifactRole, Job
 from core.jobs.spec import TrainSpec
+from gaitway.schema import ArtifactView
 
 router = APIRouter(tags=["files"])
 
@@ -79,7 +80,7 @@ def _file_route(path: str, media_type: str) -> Callable[[Callable[..., Response]
 def list_artifacts(job_id: JobId, service: ServiceDep) -> Response:
     """All files of a job."""
     artifacts = service.store.get(job_id).artifacts
-    return answer(Listing[ArtifactView](items=[ArtifactView.of(job_id, one) for one in artifacts]))
+    return answer(Listing[ArtifactView](items=[artifact_view(job_id, one) for one in artifacts]))
 
 
 @router.get(
@@ -91,7 +92,7 @@ def list_checkpoints(job_id: JobId, service: ServiceDep) -> Response:
     """The kept checkpoints, ordered by step."""
     found = [artifact for artifact in service.store.get(job_id).artifacts if artifact.role == "checkpoint"]
     found.sort(key=lambda artifact: artifact.step or 0)
-    return answer(Listing[ArtifactView](items=[ArtifactView.of(job_id, one) for one in found]))
+    return answer(Listing[ArtifactView](items=[artifact_view(job_id, one) for one in found]))
 
 
 @_file_route("/jobs/{job_id}/video", "video/mp4")

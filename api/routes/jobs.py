@@ -13,7 +13,7 @@ from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.problems import refusals
 from api.recent import max_age_s
 from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
-from api.views import JobView, Listing
+from api.views import Listing, job_view
 from core.errors import (
     IdempotencyKeyReused,
     JobFinished,
@@ -34,6 +34,7 @@ from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery
 from core.jobs.submission import submit
 from core.jobs.workers import WorkerInfo
+from gaitway.schema import JobView
 
 router = APIRouter(tags=["jobs"])
 
@@ -101,7 +102,7 @@ def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep) -> Res
         idempotency=idempotency(key, spec),
         acknowledge=service.acknowledgements.add,
     )
-    return answer(JobView.of(job), 202, {"Location": f"/jobs/{job.id}"})
+    return answer(job_view(job), 202, {"Location": f"/jobs/{job.id}"})
 
 
 @router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))
@@ -123,7 +124,7 @@ def list_jobs(
     if found is None:
         page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit, brief=True)
         workers = _workers(page.jobs, service)
-        views = [JobView.of(job, workers) for job in page.jobs]
+        views = [job_view(job, workers) for job in page.jobs]
         found = Listing[JobView](items=views, next=page.next_cursor).model_dump_json().encode()
         service.lists.keep(question, found)
     return Response(found, media_type="application/json")
@@ -133,7 +134,7 @@ def list_jobs(
 def read_job(job_id: JobId, service: ServiceDep) -> Response:
     """A job as it is now."""
     job = service.store.find(job_id)
-    return answer(JobView.of(job, _workers([job], service)))
+    return answer(job_view(job, _workers([job], service)))
 
 
 @router.post(
@@ -149,7 +150,7 @@ def read_job(job_id: JobId, service: ServiceDep) -> Response:
 def cancel_job(job_id: JobId, service: ServiceDep) -> Response:
     """Stop a job and keep its checkpoint, metrics and video up to now. Repeating this changes nothing."""
     job = cancel(job_id, store=service.store, queue=service.queue)
-    return answer(JobView.of(job), 200 if job.status.is_final else 202)
+    return answer(job_view(job), 200 if job.status.is_final else 202)
 
 
 @router.delete(

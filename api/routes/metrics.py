@@ -14,11 +14,11 @@ from api.curves import MOST_VALUES, thinned
 from api.dependencies import EntryId, JobId, Parameters, Service, ServiceDep
 from api.metrics_table import Overview, csv_lines
 from api.problems import refusals
-from api.views import Metrics
 from core.errors import JobNotFound, Problem, RecordsUnavailable, Rejected, StorageUnavailable
 from core.jobs import feeds
 from core.jobs.spec import Text
 from core.jobs.store import Entry, entry_number
+from gaitway.schema import Metrics
 
 router = APIRouter(tags=["jobs"])
 

@@ -1,8 +1,7 @@
 """Users' own models: upload one, see its contents, delete it."""
 
 import time
-from datetime import datetime
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 from anyio import sleep
 from anyio.to_thread import run_sync
@@ -14,7 +13,7 @@ from api.dependencies import Parameters, Service, ServiceDep
 from api.errors import BodyTooLarge, TooManyModels, UnsupportedMediaType
 from api.problems import refusals
 from api.uploads import Upload, receiving, with_end
-from api.views import Listing, View
+from api.views import Listing
 from core.environments.mjcf.main_document import MAX_MAIN_CHARACTERS, with_main
 from core.errors import (
     BadModel,
@@ -27,7 +26,8 @@ from core.errors import (
 )
 from core.jobs.model_removal import remove_model
 from core.user_models import library
-from core.user_models.record import Description, ModelRecord, ModelStatus
+from core.user_models.record import ModelRecord
+from gaitway.schema import ModelView
 
 router = APIRouter(tags=["models"])
 
@@ -95,22 +95,10 @@ class Listed(Parameters):
     name: Name | None = Field(None, description="Only models of this name.")
 
 
-class ModelView(View):
-    """A model. description: set once it is `ready`; message: why it was `refused`; size: bytes."""
-
-    id: str
-    name: str | None
-    status: ModelStatus
-    media_type: str
-    size: int
-    created_at: datetime
-    description: Description | None = Field(description="Its contents, and the engines that can run it.")
-    message: str | None
-    links: dict[str, str]
-
-    @classmethod
-    def of(cls, record: ModelRecord) -> Self:
-        return cls(**dict(record), links={"self": f"/models/{record.id}"})
+def _view(record: ModelRecord) -> ModelView:
+    contents = None if record.description is None else record.description.model_dump(mode="json")
+    facts = record.model_dump(exclude={"description", "refused_at"})
+    return ModelView(**facts, description=contents, links={"self": f"/models/{record.id}"})
 
 
 async def _added(request: Request, sent: Annotated[Sent, Query()], service: ServiceDep) -> ModelRecord:
@@ -171,21 +159,21 @@ async def add_model(
     if not record.is_settled:
         response.headers["Retry-After"] = "2"
     response.headers["Location"] = f"/models/{record.id}"
-    return ModelView.of(record)
+    return _view(record)
 
 
 @router.get("/models", response_model=Listing[ModelView], responses=refusals(Rejected, RecordsUnavailable))
 def list_models(listed: Annotated[Listed, Query()], service: ServiceDep) -> Response:
     """Models, the last sent first."""
     page = service.store.list_models(cursor=listed.cursor, limit=listed.limit, name=listed.name)
-    items = [ModelView.of(record) for record in page.models]
+    items = [_view(record) for record in page.models]
     return answer(Listing[ModelView](items=items, next=page.next_cursor))
 
 
 @router.get("/models/{model_id}", responses=refusals(ModelNotFound, RecordsUnavailable))
 def read_model(model_id: ModelId, service: ServiceDep) -> ModelView:
     """A model's contents, or the state of its validation."""
-    return ModelView.of(library.find(model_id, service.store))
+    return _view(library.find(model_id, service.store))
 
 
 @router.delete(

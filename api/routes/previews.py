@@ -2,20 +2,19 @@
 
 import time
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any
 from urllib.parse import urlencode
 
 from anyio import sleep
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import JSONResponse
-from pydantic import Field, JsonValue
+from pydantic import Field
 
 from api.dependencies import Parameters, Service, ServiceDep
 from api.files import file_response
 from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, in_the_query, parse_options
 from api.problems import refusals
-from api.views import View
 from core.bounds import LONGEST_NAME
 from core.environments import catalog
 from core.errors import (
@@ -37,6 +36,7 @@ from core.previews import library
 from core.previews.record import Preview, PreviewRequest, Still
 from core.rendering.camera import camera_choices, model_camera
 from core.rendering.overlays import Overlay
+from gaitway.schema import PreviewView, StillView
 
 router = APIRouter(tags=["catalog"])
 
@@ -72,41 +72,28 @@ class PreviewParameters(Parameters):
     height: int = Field(480, ge=16, le=1920, description="Pixels.")
 
 
-class StillView(View):
-    """A still. camera: as a job's `video` names it; size: bytes; href: where to fetch the PNG."""
+def _view(
+    wanted: PreviewRequest, stills: Sequence[Still], here: str, asked: PreviewParameters
+) -> PreviewView:
+    query_of_all = asked.model_dump(exclude_unset=True, exclude={"camera"})
 
-    camera: str | int
-    size: int
-    sha256: str
-    href: str
+    def href(**also: object) -> str:
+        query = urlencode({**query_of_all, **also}, doseq=True)
+        return f"{here}?{query}" if query else here
 
-
-class PreviewView(View):
-    """An environment as the first episode of a rollout with seed 0 begins. options: all, with defaults."""
-
-    environment: str
-    options: dict[str, JsonValue]
-    status: Literal["ready", "drawing"]
-    cameras: Sequence[str | int]
-    stills: Sequence[StillView]
-    links: dict[str, str]
-
-    @classmethod
-    def of(cls, wanted: PreviewRequest, stills: Sequence[Still], here: str, asked: PreviewParameters) -> Self:
-        said = asked.model_dump(exclude_unset=True, exclude={"camera"})
-
-        def href(**also: object) -> str:
-            query = urlencode({**said, **also}, doseq=True)
-            return f"{here}?{query}" if query else here
-
-        return cls(
-            environment=wanted.environment,
-            options=wanted.options,
-            status="ready" if stills else "drawing",
-            cameras=wanted.cameras,
-            stills=[StillView(**dict(still), href=href(camera=still.camera)) for still in stills],
-            links={"self": href()},
-        )
+    return PreviewView(
+        environment=wanted.environment,
+        options=wanted.options,
+        status="ready" if stills else "drawing",
+        cameras=tuple(wanted.cameras),
+        stills=tuple(
+            StillView(
+                camera=still.camera, size=still.size, sha256=still.sha256, href=href(camera=still.camera)
+            )
+            for still in stills
+        ),
+        links={"self": href()},
+    )
 
 
 @router.get(
@@ -143,10 +130,10 @@ async def preview_environment(
     here = request.url.path
     if drawn is None:
         again = f"{here}?{request.url.query}" if request.url.query else here
-        view = PreviewView.of(wanted, [], here, asked)
+        view = _view(wanted, [], here, asked)
         return JSONResponse(view.model_dump(mode="json"), 202, {"Location": again, "Retry-After": "2"})
     if camera is None:
-        return PreviewView.of(wanted, drawn.stills, here, asked)
+        return _view(wanted, drawn.stills, here, asked)
     still = next(still for still in drawn.stills if still.camera == camera)
     return await run_sync(file_response, request, _file(wanted, still), service)
 

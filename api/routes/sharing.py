@@ -22,7 +22,7 @@ from api.sharing.report import POLICY, open_report
 from api.sharing.zip_stream import zip_stream
 from api.submissions import IdempotencyKey
 from api.uploads import Upload, receiving
-from api.views import JobView
+from api.views import job_view
 from core.errors import (
     BadExport,
     IdempotencyKeyReused,
@@ -37,6 +37,7 @@ from core.jobs.importing import import_run
 from core.jobs.job import Job
 from core.jobs.spec import Text
 from core.jobs.store import Idempotency
+from gaitway.schema import JobView
 
 router = APIRouter(tags=["sharing"])
 
@@ -146,7 +147,7 @@ async def import_job(request: Request, key: IdempotencyKey, service: ServiceDep)
     finally:
         service.num_imports -= 1
     headers = {"Location": f"/jobs/{job.id}"}
-    return Response(JobView.of(job).model_dump_json(), 201, headers, media_type="application/json")
+    return Response(job_view(job).model_dump_json(), 201, headers, media_type="application/json")
 
 
 def _import(upload: Upload, key: str | None, service: Service) -> Job:

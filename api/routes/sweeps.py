@@ -13,7 +13,7 @@ from api.problems import refusals
 from api.routes.jobs import Cursor
 from api.submissions import RESUMPTION, IdempotencyKey, JsonBody, SubmittedSweep, idempotency, parse
 from api.sweep_examples import EXAMPLES
-from api.sweep_views import SweepDetails, SweepView
+from api.sweep_views import sweep_details, sweep_view
 from api.views import Listing
 from core.errors import (
     IdempotencyKeyReused,
@@ -29,6 +29,7 @@ from core.jobs.job import Job, UnreadableJob, check_job_id
 from core.sweeps.life import cancel_sweep, delete_sweep, resume_sweep
 from core.sweeps.submission import submit_sweep
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
+from gaitway.schema import SweepDetails, SweepView
 
 router = APIRouter(tags=["sweeps"])
 
@@ -85,7 +86,7 @@ def list_sweeps(listed: Annotated[Listed, Query()], service: ServiceDep) -> Resp
     trials = service.store.trials([sweep.id for sweep in page.sweeps])
     jobs = _jobs([trial for each in trials.values() for trial in each], service)
     now = service.store.now()
-    views = [SweepView.of(sweep, trials.get(sweep.id, ()), jobs, now) for sweep in page.sweeps]
+    views = [sweep_view(sweep, trials.get(sweep.id, ()), jobs, now) for sweep in page.sweeps]
     return answer(Listing[SweepView](items=views, next=page.next_cursor))
 
 
@@ -146,7 +147,7 @@ def delete(sweep_id: SweepId, service: ServiceDep) -> None:
 
 def _details(sweep: Sweep, service: Service) -> SweepDetails:
     trials = service.store.trials([sweep.id]).get(sweep.id, ())
-    return SweepDetails.of(sweep, trials, _jobs(trials, service), service.store.now())
+    return sweep_details(sweep, trials, _jobs(trials, service), service.store.now())
 
 
 def _jobs(trials: Sequence[Trial], service: Service) -> Mapping[str, Job | UnreadableJob]:

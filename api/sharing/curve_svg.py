@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from math import isfinite, log10
 
-from api.views import MetricsRow
+from gaitway.schema import MetricsRow
 
 RETURNS = ("eval/episode_reward", "training/episode_reward")
 # Distinguishable by colour-blind readers, too (Okabe and Ito, 2008), on white and on black.

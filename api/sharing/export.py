@@ -11,7 +11,7 @@ from typing import Any
 from api.dependencies import Service
 from api.metrics_table import Overview, csv_lines
 from api.sharing.zip_stream import Member
-from api.views import JobView
+from api.views import job_view
 from core.errors import ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs import feeds
 from core.jobs.filled_in import filled_in
@@ -61,7 +61,7 @@ def export(job: Job, service: Service) -> Iterator[Member]:
     overview = Overview.of(chain.from_iterable(_pages(job, service, "events")))
     yield _text("README.txt", _readme(job))
     yield _json("spec.json", spec)
-    yield _json("job.json", JobView.of(job).model_dump(mode="json"))
+    yield _json("job.json", job_view(job).model_dump(mode="json"))
     yield _json("versions.json", versions(job))
     yield Member("metrics.csv", map(str.encode, csv_lines(_pages(job, service, "events"), overview)))
     yield Member("metrics.jsonl", _json_lines(_pages(job, service, "events"), overview))

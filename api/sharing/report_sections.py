@@ -11,10 +11,10 @@ from api.curves import thinned
 from api.dependencies import Service
 from api.sharing.curve_svg import RETURNS, curve_svg, lines_of
 from api.sharing.export import versions
-from api.views import MetricsRow
 from core.jobs import feeds
 from core.jobs.filled_in import filled_in
 from core.jobs.job import Job
+from gaitway.schema import MetricsRow
 
 _POINTS = 400
 _LOG_LINES = 200

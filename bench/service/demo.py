@@ -12,8 +12,9 @@ from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result, at_least, at_most
 from bench.stack.embedded import running_stack
 from gaitway.client import Client
+from gaitway.schema import JobView
 from gaitway.service.demo import DemoOptions
-from gaitway.views import Event, JobView
+from gaitway.views import Event
 
 _TARGETS = {"the video": at_most(60)}
 _CLONE_S = 1200.0

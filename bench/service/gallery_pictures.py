@@ -17,7 +17,7 @@ from PIL import Image
 
 from bench.stack.processes import running
 from gaitway.client import Client
-from gaitway.views import JobView
+from gaitway.schema import JobView
 
 _FPS = 15
 _HEIGHT = 240

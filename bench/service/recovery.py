@@ -23,7 +23,8 @@ from bench.measure.statistics import spread
 from bench.stack.embedded import Stack, running_stack
 from bench.stack.waiting import until
 from gaitway.client import Client
-from gaitway.views import ArtifactView, Event
+from gaitway.schema import ArtifactView
+from gaitway.views import Event
 from tests.faults.campaign.volumes import flip_byte
 
 Row = dict[str, Any]

@@ -2,8 +2,6 @@
 
 Its commands move plain values about; a name stays a name, and a call a name with its arguments. Only then
 what is known becomes numbers: NumPy's and JAX's arrays of numbers, and Brax's records as dicts.
-The service and its client have equal copies (`core/algorithms`, `gaitway/policies`), since neither imports
-the other.
 """
 
 import io

@@ -8,12 +8,11 @@ from typing import Annotated, Any, cast
 import typer
 from pydantic import BaseModel
 
-from gaitway.calls.asking import ID_LENGTH, SEARCHED, the_one
+from gaitway.addresses import ID_LENGTH, SEARCHED, the_one
 from gaitway.cli.errors import complain, wrong_usage
 from gaitway.cli.terminal import escaped
 from gaitway.client import Client
-from gaitway.sweep_views import SweepView
-from gaitway.views import JobView
+from gaitway.schema import JobView, SweepView
 
 # For commands whose arguments are for the programs that they start.
 PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": list[str]()}

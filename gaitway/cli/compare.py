@@ -17,7 +17,7 @@ from gaitway.cli.errors import wrong_usage
 from gaitway.cli.progress import duration
 from gaitway.cli.terminal import Console
 from gaitway.client import Client
-from gaitway.views import JobView
+from gaitway.schema import JobView
 
 # The first of each that a job measured: an evaluation goes before the training's own numbers.
 _METRICS = {

@@ -9,7 +9,7 @@ from gaitway.cli.common import AsJson, client_of, name_to_model, print_json
 from gaitway.cli.errors import wrong_usage
 from gaitway.cli.submit import assigned, option
 from gaitway.client import Client
-from gaitway.views import EnvironmentView, SliceView
+from gaitway.schema import EnvironmentDetails, SliceView
 
 _MOST_NAMES = 4
 
@@ -63,7 +63,7 @@ def _list(client: Client, family: str | None, as_json: bool) -> None:
         print(f"There are no environments of {family}.")
 
 
-def _show(found: EnvironmentView) -> None:
+def _show(found: EnvironmentDetails) -> None:
     print(f"{found.id}  {found.description}")
     print(f"\nobservation: {_count(found.observation)}")
     for one in found.observation:

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 import typer
 from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
 
+from gaitway.addresses import OnBytes
 from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
 from gaitway.cli.errors import wrong_usage
 from gaitway.cli.jobs import origin
 from gaitway.cli.terminal import Console
-from gaitway.downloading import OnBytes
 
 Output = Annotated[
     Path | None, typer.Option("--output", "-o", help="A file or a folder; by default the current one.")

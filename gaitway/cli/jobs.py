@@ -1,6 +1,6 @@
 """`gaitway jobs`, `show`, `cancel`, `delete`: jobs as they stand."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
@@ -14,7 +14,7 @@ from gaitway.cli.errors import wrong_usage
 from gaitway.cli.progress import duration
 from gaitway.cli.terminal import Console
 from gaitway.cli.watch import ending
-from gaitway.views import JobView
+from gaitway.schema import JobView
 
 # The metrics that one looks at first.
 _MAIN = (
@@ -115,7 +115,7 @@ def _label(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _table(found: list[JobView]) -> Table:
+def _table(found: Sequence[JobView]) -> Table:
     table = Table(box=None, pad_edge=False)
     for column in ("JOB", "KIND", "ENVIRONMENT", "STATUS", "STEPS", "AGE", "NAME"):
         table.add_column(column, no_wrap=column == "JOB")

@@ -10,7 +10,7 @@ from rich.text import Text
 from gaitway.cli.common import AsJson, client_of, model_id, print_json
 from gaitway.cli.errors import Group
 from gaitway.cli.terminal import Console
-from gaitway.views import ModelView, WorkerView
+from gaitway.schema import ModelView, WorkerView
 
 models = typer.Typer(cls=Group, help="Bring models of your own, for jobs in the environment `mjcf`.")
 ModelName = Annotated[

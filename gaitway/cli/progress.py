@@ -11,7 +11,8 @@ from rich.text import Text
 
 from gaitway.cli.sparkline import History, sparkline
 from gaitway.cli.terminal import Console
-from gaitway.views import Event, JobView
+from gaitway.schema import JobView
+from gaitway.views import Event
 
 _RETURN = ("eval/episode_reward", "training/episode_reward")
 _SPEED = ("eval/forward_speed", "training/forward_speed")

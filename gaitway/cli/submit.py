@@ -13,7 +13,7 @@ from gaitway.cli.errors import wrong_usage
 from gaitway.cli.terminal import Console
 from gaitway.cli.watch import page_of, print_what_it_waits_for, watch_job
 from gaitway.client import Client
-from gaitway.views import JobView
+from gaitway.schema import JobView
 
 # The fields of a job; every other name in `--set` is an option of its environment.
 JOB_FIELDS = frozenset(

@@ -1,7 +1,7 @@
 """`gaitway sweep`: start one; `gaitway sweeps`: list, show, cancel, resume, delete."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -18,7 +18,7 @@ from gaitway.cli.progress import duration
 from gaitway.cli.submit import read
 from gaitway.cli.terminal import Console
 from gaitway.client import Client
-from gaitway.sweep_views import SweepView, TrialView
+from gaitway.schema import SweepDetails, TrialView
 
 sweeps = typer.Typer(cls=Group, help="See sweeps and what came of them.", invoke_without_command=True)
 
@@ -120,14 +120,14 @@ def _id(client: Client, name: str) -> str:
     return full_id(name, lambda limit: client.sweeps(limit=limit), "sweep")
 
 
-def _told(sweep: SweepView, as_json: bool) -> None:
+def _told(sweep: SweepDetails, as_json: bool) -> None:
     if as_json:
         print_json(sweep)
     else:
         print(f"Sweep {sweep.id} is {sweep.status}.")
 
 
-def _watched(client: Client, sweep: SweepView, console: Console) -> SweepView:
+def _watched(client: Client, sweep: SweepDetails, console: Console) -> SweepDetails:
     """Show the sweep until it ends, and return it as it then is; Ctrl-C ends only the display."""
     try:
         if not console.is_terminal:
@@ -143,7 +143,7 @@ def _watched(client: Client, sweep: SweepView, console: Console) -> SweepView:
     return sweep
 
 
-def _told_of_changes(client: Client, sweep: SweepView, console: Console) -> SweepView:
+def _told_of_changes(client: Client, sweep: SweepDetails, console: Console) -> SweepDetails:
     """A line for each change, and all trials at the end."""
     told = set[str]()
     while True:
@@ -158,7 +158,7 @@ def _told_of_changes(client: Client, sweep: SweepView, console: Console) -> Swee
         sweep = client.get_sweep(sweep.id)
 
 
-def _news(sweep: SweepView) -> Iterable[str]:
+def _news(sweep: SweepDetails) -> Iterable[str]:
     """A line for its status, and one for each trial's."""
     yield f"Sweep {sweep.id} {sweep.status}"
     for trial in sweep.trials:
@@ -170,7 +170,7 @@ def _news(sweep: SweepView) -> Iterable[str]:
         yield f"trial {trial.number} {trial.status} ({axes}){values}"
 
 
-def _list(found: Iterable[SweepView]) -> Table:
+def _list(found: Iterable[SweepDetails]) -> Table:
     table = Table(box=None, pad_edge=False)
     for column in ("SWEEP", "METHOD", "STATUS", "TRIALS", "BEST", "AGE", "NAME"):
         table.add_column(column, no_wrap=column == "SWEEP")
@@ -184,7 +184,7 @@ def _list(found: Iterable[SweepView]) -> Table:
     return table
 
 
-def _state(sweep: SweepView) -> RenderableType:
+def _state(sweep: SweepDetails) -> RenderableType:
     """All there is to see of one sweep."""
     counted = ", ".join(f"{number} {status}" for status, number in sweep.num_trials.items())
     lines = [f"Sweep {sweep.id} {sweep.status}: {counted or 'no trial yet'}, of {sweep.max_trials} at most"]
@@ -196,11 +196,11 @@ def _state(sweep: SweepView) -> RenderableType:
     return Lines(*(Text(line) for line in lines), _trials(sweep))
 
 
-def _by_share(shares: dict[str, float]) -> list[tuple[str, float]]:
+def _by_share(shares: Mapping[str, float]) -> list[tuple[str, float]]:
     return sorted(shares.items(), key=lambda pair: -pair[1])
 
 
-def _trials(sweep: SweepView) -> Table:
+def _trials(sweep: SweepDetails) -> Table:
     table = Table(box=None, pad_edge=False)
     axes = list(sweep.spec.get("parameters", {}))
     metrics = [metric.rpartition("/")[2] for metric in sweep.metrics]
@@ -218,7 +218,7 @@ def _trials(sweep: SweepView) -> Table:
     return table
 
 
-def _rank(sweep: SweepView, trial: TrialView) -> tuple[bool, float]:
+def _rank(sweep: SweepDetails, trial: TrialView) -> tuple[bool, float]:
     """By the first objective, the best first; those without a value last."""
     sign = -1 if sweep.is_minimized else 1
     value = trial.values[0] if trial.values else None

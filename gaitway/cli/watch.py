@@ -11,7 +11,7 @@ from gaitway.cli.common import AsJson, JobName, client_of, end_code, job_id, pri
 from gaitway.cli.progress import JobProgress
 from gaitway.cli.terminal import Console, escaped
 from gaitway.client import Client
-from gaitway.views import JobView
+from gaitway.schema import JobView
 
 
 def watch_job(client: Client, job: JobView, console: Console) -> JobView:

@@ -3,14 +3,17 @@
 Source: brax.training (running_statistics.normalize, networks.MLP, distribution.NormalTanhDistribution).
 """
 
+import io
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from gaitway import exported_policy
 from gaitway.errors import PolicyUnreadable
-from gaitway.policies import brax_file, checkpoint
+from gaitway.policies import checkpoint
 
 # Of checkpoints.
 PPO, SAC = "gaitway-ppo-2", "gaitway-sac-1"
@@ -20,12 +23,20 @@ _LEAST_DEVIATION = 0.001
 
 
 class Parameters(NamedTuple):
-    """mean, std: of observations, [observation_size], or dicts of these by the observations' names.
+    """mean, std: of observations, [observation_size].
     layers: (kernel [inputs, outputs], bias [outputs]) of each; the last gives 2 × action_size numbers."""
 
     mean: Any
     std: Any
-    layers: list[tuple[jax.Array, jax.Array]]
+    layers: list[tuple[Any, Any]]
+
+
+class _Design(NamedTuple):
+    """observation: the one that the policy sees, of several by name. bound: on the normalised observation."""
+
+    activation: str
+    observation: str
+    bound: float | None
 
 
 Answer = Callable[[Parameters, Any, jax.Array], jax.Array]
@@ -34,28 +45,45 @@ Activation = Callable[[jax.Array], jax.Array]
 
 def load(form: str, content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[Parameters, Answer]:
     """The parameters, and (parameters, observation [..., observation_size], key) -> action [..., action_size]
-    in [-1, 1]. Raises PolicyUnreadable."""
-    if is_checkpoint:
-        facts, state = checkpoint.read(content, form)
-        normalizer, policy = state["normalizer"], state["params"]["policy"]
-    else:
-        normalizer, policy, facts = brax_file.read(content)
-    activation = activation_of(facts.get("activation", "swish"))
-    seen = facts.get("policy_obs_key", "state")
-    bound = facts.get("normalize_observations_max_abs_value")
+    in [-1, 1]. content: a checkpoint of this format, or a `policy.npz`. Raises PolicyUnreadable."""
+    design, parameters = _of_checkpoint(form, content) if is_checkpoint else _of_export(content)
+    activation = activation_of(design.activation)
 
     def answer(parameters: Parameters, observation: Any, key: jax.Array) -> jax.Array:
         mean, std, layers = parameters
         if isinstance(observation, Mapping):
-            observation, mean, std = observation[seen], mean[seen], std[seen]
-        output = network(layers, normalized(observation, mean, std, bound), activation)
+            observation = observation[design.observation]
+        output = network(layers, normalized(observation, mean, std, design.bound), activation)
         location, scale = jnp.split(output, 2, axis=-1)
         if not deterministic:
             deviation = jax.nn.softplus(scale) + _LEAST_DEVIATION
             location = jax.random.normal(key, location.shape) * deviation + location
         return jnp.tanh(location)
 
-    return Parameters(normalizer["mean"], normalizer["std"], layers_of(policy)), answer
+    return parameters, answer
+
+
+def _of_checkpoint(form: str, content: bytes) -> tuple[_Design, Parameters]:
+    facts, state = checkpoint.read(content, form)
+    design = _Design(
+        facts.get("activation", "swish"),
+        facts.get("policy_obs_key", "state"),
+        facts.get("normalize_observations_max_abs_value"),
+    )
+    mean, std = state["normalizer"]["mean"], state["normalizer"]["std"]
+    if isinstance(mean, Mapping):
+        mean, std = mean[design.observation], std[design.observation]
+    return design, Parameters(mean, std, layers_of(state["params"]["policy"]))
+
+
+def _of_export(content: bytes) -> tuple[_Design, Parameters]:
+    try:
+        policy = exported_policy.load(io.BytesIO(content))
+        bound = None if math.isinf(policy.max_abs) else policy.max_abs
+        design = _Design(policy.about["network"]["activation"], policy.about["observation"]["name"], bound)
+        return design, Parameters(policy.mean, policy.std, [*policy.layers])
+    except Exception as error:  # damaged bytes may make a decoder raise anything
+        raise PolicyUnreadable("This is not a policy file, or it is damaged.") from error
 
 
 def activation_of(name: str) -> Activation:
@@ -65,7 +93,7 @@ def activation_of(name: str) -> Activation:
     return getattr(jax.nn, name)
 
 
-def layers_of(network: Any) -> list[tuple[jax.Array, jax.Array]]:
+def layers_of(network: Any) -> list[tuple[Any, Any]]:
     """(kernel, bias) of each layer, from Brax's parameters."""
     layers = [network["params"][f"hidden_{i}"] for i in range(len(network["params"]))]
     return [(layer["kernel"], layer["bias"]) for layer in layers]
@@ -79,9 +107,7 @@ def normalized(observation: jax.Array, mean: Any, std: Any, bound: float | None)
     return deviations if bound is None else jnp.clip(deviations, -bound, bound)
 
 
-def network(
-    layers: list[tuple[jax.Array, jax.Array]], values: jax.Array, activation: Activation
-) -> jax.Array:
+def network(layers: list[tuple[Any, Any]], values: jax.Array, activation: Activation) -> jax.Array:
     """What a multilayer perceptron puts out."""
     for kernel, bias in layers[:-1]:
         values = activation(values @ kernel + bias)

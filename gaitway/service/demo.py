@@ -15,11 +15,11 @@ from gaitway.cli.terminal import Console
 from gaitway.client import Client
 from gaitway.errors import GaitwayError
 from gaitway.plots import learning_curve
+from gaitway.schema import JobView
 from gaitway.service.embedded.interruption import Interrupted
 from gaitway.service.embedded.processes import ServerFailed
 from gaitway.service.embedded.stack import Stack
 from gaitway.service.embedded.up import port_number, positive, report
-from gaitway.views import JobView
 
 # An ant that keeps on its legs after so short a training: docs/environments/ant.md#an-ant-that-does-not-fall.
 _ANT_OPTIONS = {"reset_noise_scale": 0.02, "ctrl_cost_weight": 1.0}

@@ -19,8 +19,10 @@ _REFERENCE = """# The client, every method
 How it is used: [client.md](client.md). `gaitway.AsyncClient` has the same methods, to be awaited.
 
 ::: gaitway.client.Client
+    options:
+      inherited_members: true
 
-::: gaitway.views
+::: gaitway.schema
 
 ::: gaitway.errors
 """

@@ -76,7 +76,9 @@ def test_the_progress_of_a_job_says_its_phase_while_an_attempt_holds_it(
     attempt.end()
     ended = stack.http.get(view).json()["progress"]
     assert (ended["step"], ended["phase"]) == (10, None)
-    phase = stack.http.get("/openapi.json").json()["components"]["schemas"]["Progress"]["properties"]["phase"]
+    phase = stack.http.get("/openapi.json").json()["components"]["schemas"]["ProgressView"]["properties"][
+        "phase"
+    ]
     assert phase["anyOf"][0]["enum"] == [
         "preparing", "compiling", "training", "evaluating", "acting", "drawing"
     ]  # fmt: skip

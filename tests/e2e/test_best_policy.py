@@ -16,7 +16,7 @@ from gaitway import exported_policy
 from gaitway.cli.main import app
 from gaitway.client import Client
 from gaitway.errors import NotReady
-from gaitway.views import ArtifactView, JobView
+from gaitway.schema import ArtifactView, JobView
 
 # A sled on a slope, without gravity. Up to 4 m/s; after 0.5 m of height the episode ends.
 SLED = b"""<mujoco><option gravity="0 0 0" timestep="0.01"/><worldbody><body name="sled" pos="0 0 1">

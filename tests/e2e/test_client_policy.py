@@ -14,6 +14,7 @@ from core.algorithms.ppo.spec import PPOSpec
 from gaitway import Client, NotFound
 from tests import probes
 from tests.api.conftest import Attempt, Stack, job, quiet, server, stack
+from tests.exports import numpy_file_of
 from tests.unit.algorithms.checkpoints import pack
 
 __all__ = ["quiet", "server", "stack"]  # fixtures
@@ -41,6 +42,11 @@ def test_the_final_policy_and_that_of_a_checkpoint_act_as_they_were_trained(stac
         np.testing.assert_allclose(acts, make_inference(first)(OBSERVATIONS, key), rtol=1e-6)
 
         attempt.keep("policy", write_policy(last), role="policy", step=9)
+        # An older policy.npz is another policy, and Brax's own file is not read.
+        attempt.keep("policy.npz", b"of step 5", role="export", step=5)
+        with pytest.raises(NotFound, match=r"no policy\.npz, which .*brax\.io\.model\.load_params"):
+            client.load_policy(attempt.id)
+        attempt.keep("policy.npz", numpy_file_of(write_policy(last)), role="export", step=9)
         act = client.load_policy(attempt.id)
         np.testing.assert_allclose(act(OBSERVATIONS), make_inference(last)(OBSERVATIONS, key), rtol=1e-6)
         assert act(OBSERVATIONS[0]).shape == (2,)

@@ -20,7 +20,7 @@ from gaitway import Client, Conflict, NotFound, NotReady, Rejected, WaitTimeout
 from gaitway.cli.main import app
 from gaitway.cli.models import what_a_model_waits_for
 from gaitway.cli.submit import JOB_FIELDS
-from gaitway.views import WorkerView
+from gaitway.schema import WorkerView
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
 from tests.api.test_models import DESCRIPTION
 from tests.api.test_models import worker as validating_worker
@@ -355,7 +355,7 @@ def test_a_client_waits_for_its_stills_while_workers_are_busy(
     stack: Stack, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("api.routes.previews._TIMEOUT_S", 0.0)
-    monkeypatch.setattr("gaitway.calls.previews.POLL_S", 0.01)
+    monkeypatch.setattr("gaitway.client.catalog.POLL_S", 0.01)
     announced(stack)
     with pytest.raises(WaitTimeout, match="No worker has rendered it"):
         client.preview("hopper", tmp_path, timeout=0.0)

@@ -8,7 +8,7 @@ import pytest
 
 from core.environments import trajectory
 from gaitway.client import Client
-from gaitway.views import JobView
+from gaitway.schema import JobView
 from tests.e2e.test_pipeline import SMALL, rolled_out
 
 

@@ -19,7 +19,8 @@ from core.environments import trajectory
 from gaitway import exported_policy
 from gaitway.client import Client
 from gaitway.errors import NotFound
-from gaitway.views import Event, JobView
+from gaitway.schema import JobView
+from gaitway.views import Event
 from tests.e2e.installed import Installed
 from tests.e2e.watching import watching
 from tests.exports import onnx_answers

@@ -20,7 +20,7 @@ from core.sweeps.controller import SweepController
 from gaitway import (
     AsyncClient,
     Client,
-    JobView,
+    Job,
     MissingExtra,
     NotFound,
     Rejected,
@@ -32,11 +32,12 @@ from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, sta
 from tests.api.test_models import DESCRIPTION
 from tests.api.test_models import worker as validating_worker
 from tests.api.test_previews import drawing_worker
+from tests.exports import numpy_file_of
 from tests.unit.environments.mjcf.probe import XML
 
 __all__ = ["quiet", "server", "stack"]  # fixtures
 
-METHODS = {name for name in vars(Client) if not name.startswith("_")} - {"base_url"}
+METHODS = {name for name in dir(Client) if not name.startswith("_")} - {"base_url"}
 
 
 class Either:
@@ -87,7 +88,7 @@ def client(request: pytest.FixtureRequest, stack: Stack, portal: BlockingPortal)
 
 
 def test_both_have_the_same_methods_with_the_same_parameters_and_descriptions() -> None:
-    assert {name for name in vars(AsyncClient) if not name.startswith("_")} - {"base_url"} == METHODS
+    assert {name for name in dir(AsyncClient) if not name.startswith("_")} - {"base_url"} == METHODS
     for name in METHODS:
         here, there = getattr(Client, name), getattr(AsyncClient, name)
         assert inspect.signature(here).parameters == inspect.signature(there).parameters
@@ -161,8 +162,9 @@ def _files(stack: Stack, client: Either, folder: Path) -> None:
     networks = make_networks(3, 2, PPOSpec.model_validate({"policy_hidden_layer_sizes": [4]}))
     params = init_params(networks, jax.random.PRNGKey(0))
     policy = write_policy((init_normalizer(3), params.policy, params.value))
+    exported = numpy_file_of(policy)
     attempt.keep("policy", policy, role="policy")
-    attempt.keep("policy.npz", b"npz", role="export")
+    attempt.keep("policy.npz", exported, role="export")
     attempt.keep("step-5.ckpt", b"state", role="checkpoint", step=5)
     attempt.keep("video.mp4", step=5)
     attempt.keep("poster.png", b"still", role="poster")
@@ -173,7 +175,7 @@ def _files(stack: Stack, client: Either, folder: Path) -> None:
     assert client.download(attempt.id, "step-5.ckpt", folder).read_bytes() == b"state"
     assert client.video(attempt.id, folder, step=5).read_bytes() == ARTIFACT
     assert client.poster(attempt.id, folder).read_bytes() == b"still"
-    assert client.export_policy(attempt.id, "numpy", folder).read_bytes() == b"npz"
+    assert client.export_policy(attempt.id, "numpy", folder).read_bytes() == exported
     assert client.load_policy(attempt.id)(jnp.zeros(3)).shape == (2,)
     archive = client.export(attempt.id, folder)
     assert archive.read_bytes().startswith(b"PK")
@@ -256,7 +258,7 @@ def test_a_job_in_a_notebook_has_its_curve_and_its_video_and_markup_is_text(stac
 def test_a_job_whose_service_is_gone_is_shown_with_the_reason() -> None:
     with Client("http://127.0.0.1:1") as client:
         document = {"id": "j", "kind": "train", "status": "running", "created_at": "2026-11-20T12:00:00Z"}
-        html = JobView.model_validate(document).of(client.base_url)._repr_html_()
+        html = Job.model_validate(document, context=client)._repr_html_()
     assert "running" in html
     assert "No Gaitway service answers" in html
 

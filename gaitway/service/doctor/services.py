@@ -9,7 +9,8 @@ import httpx
 
 from core.errors import GaitwayError
 from gaitway import errors
-from gaitway.client import DEFAULT_URL, Client
+from gaitway.addresses import DEFAULT_URL
+from gaitway.client import Client
 from gaitway.retry import Retry
 from gaitway.service.doctor.check import Check
 from gaitway.service.doctor.settings import of_the_stores

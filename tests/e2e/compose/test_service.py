@@ -14,7 +14,8 @@ import httpx
 import pytest
 
 from gaitway.client import Client
-from gaitway.views import Event, JobView
+from gaitway.schema import JobView
+from gaitway.views import Event
 from tests.e2e.compose.conftest import Figure
 from tests.e2e.compose.project import BASE, CommandFailed, Project, removing, run, run_for_bytes, size_mb
 

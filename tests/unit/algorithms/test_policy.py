@@ -39,7 +39,6 @@ from core.environments.rollout import Roller
 from core.errors import JobFailed
 from gaitway import PolicyUnreadable
 from gaitway import policy as client_policy
-from gaitway.policies import brax_pickle as client_pickle
 from tests import probes
 from tests.unit.algorithms.checkpoints import pack
 
@@ -235,11 +234,6 @@ def test_a_file_that_is_no_policy_is_refused_and_runs_nothing(content: bytes) ->
     with pytest.raises(JobFailed, match="not a policy file") as failure:
         read_policy(content)
     assert failure.value.reason == "bad_checkpoint"
-
-
-def test_the_service_and_its_client_read_pickles_by_the_same_code() -> None:
-    own, clients = Path(brax_pickle.__file__), Path(client_pickle.__file__)
-    assert own.read_text() == clients.read_text()
 
 
 @pytest.mark.parametrize("on", ["device", "host"])

@@ -2,7 +2,7 @@ import subprocess
 import sys
 
 from core.jobs.status import JobStatus
-from gaitway.views import FINAL_STATUSES
+from gaitway.schema import FINAL_STATUSES
 
 
 def test_the_client_needs_neither_the_cli_nor_the_numerical_stack() -> None:

@@ -34,6 +34,7 @@ from core.algorithms.sac.networks import make_networks as make_sac_networks
 from core.algorithms.sac.spec import SACSpec
 from gaitway import PolicyUnreadable, policy
 from tests import probes
+from tests.exports import numpy_file_of
 from tests.learning.q_probes import PlanarStar
 from tests.unit.algorithms.checkpoints import pack
 
@@ -151,6 +152,11 @@ def table_answers(_: str, content: bytes, *, is_checkpoint: bool, deterministic:
     return jax.jit(answer)
 
 
+def clients_file(algorithm: str, content: bytes, *, is_checkpoint: bool) -> bytes:
+    """What the client reads: `policy.npz` in place of the policy file that is for Brax."""
+    return numpy_file_of(content) if algorithm in ("ppo", "sac") and not is_checkpoint else content
+
+
 def assert_acts_alike(
     tmp_path: Path, algorithm: str, files: Mapping[bool, bytes], *observations: Any
 ) -> None:
@@ -160,7 +166,7 @@ def assert_acts_alike(
     """
     answers = table_answers if algorithm == "q_learning" else network_answers
     for is_checkpoint, content in files.items():
-        (tmp_path / "file").write_bytes(content)
+        (tmp_path / "file").write_bytes(clients_file(algorithm, content, is_checkpoint=is_checkpoint))
         options: dict[str, bool] = {"is_checkpoint": is_checkpoint, "deterministic": is_checkpoint}
         act = policy.load(tmp_path / "file", algorithm, **options)
         answer = answers(algorithm, content, **options)
@@ -261,7 +267,7 @@ def test_every_algorithm_and_every_state_discretizer_is_read() -> None:
 def test_a_damaged_file_is_refused(tmp_path: Path, algorithm: str, is_checkpoint: bool) -> None:
     is_table = algorithm == "q_learning"
     files = table_files({"kind": "arm_role"}, 5) if is_table else files_of_network(algorithm)
-    content = files[is_checkpoint]
+    content = clients_file(algorithm, files[is_checkpoint], is_checkpoint=is_checkpoint)
     damaged = [content[: len(content) // 2], b"nonsense"]
     if is_checkpoint or algorithm in ("q_learning", "dqn"):
         damaged.append(content.replace(b"-1", b"-9").replace(b"ppo-2", b"ppo-9"))

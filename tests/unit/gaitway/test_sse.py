@@ -1,12 +1,11 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gaitway.sse import Comment, Lines, Parser, ServerSentEvent
+from gaitway.sse import Lines, ServerSentEvent, Stream
 
 
-def parse(lines: list[str], last_id: str = "") -> list[ServerSentEvent | Comment]:
-    parser = Parser(last_id)
-    return [found for found in map(parser.take, lines) if found is not None]
+def parse(lines: list[str], last_id: str = "") -> list[ServerSentEvent]:
+    return Stream(last_id).take("".join(line + "\n" for line in lines).encode())
 
 
 def lines(chunks: list[bytes]) -> list[str]:
@@ -24,11 +23,11 @@ def test_several_data_lines_are_one_text_and_one_leading_space_is_dropped() -> N
 
 def test_the_id_stays_until_another_is_named_also_from_before_the_connection() -> None:
     events = parse(["data: a", "", "id: 2", "data: b", "", "data: c", ""], last_id="1")
-    assert [event.id for event in events if isinstance(event, ServerSentEvent)] == ["1", "2", "2"]
+    assert [event.id for event in events] == ["1", "2", "2"]
 
 
-def test_comments_are_told_and_an_event_without_data_or_without_its_end_is_not() -> None:
-    assert parse([": alive", "event: x", "", "retry: 3", "", "data: cut off"]) == [Comment()]
+def test_comments_and_an_event_without_data_or_without_its_end_are_no_events() -> None:
+    assert parse([": alive", "event: x", "", "retry: 3", "", "data: cut off"]) == []
 
 
 def test_a_line_separator_inside_the_data_ends_no_line() -> None:

@@ -1,0 +1,90 @@
+"""Addresses and names for both clients: the service's address, paths on it, ids and files."""
+
+import os
+import shutil
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import quote
+from zipfile import BadZipFile, ZipFile
+
+import httpx
+
+from gaitway.errors import WrongAddress
+
+DEFAULT_URL = "http://127.0.0.1:8000"
+ID_LENGTH = 23
+# Between two looks at what a worker has yet to do.
+POLL_S = 0.5
+# An abbreviated id is looked for among this many jobs.
+SEARCHED = 1000
+# Far beyond what a service takes: a larger file in an export is not unpacked.
+_LARGEST_MODEL = 2**30
+
+# Called with the bytes that are here, and those of the whole file.
+OnBytes = Callable[[int, int], None]
+
+
+def address(base_url: str | None) -> str:
+    """The service's address: the given one, that of GAITWAY_URL, or this machine's. Raises WrongAddress."""
+    url = base_url or os.environ.get("GAITWAY_URL") or DEFAULT_URL
+    if not url.lower().startswith(("http://", "https://")):
+        raise WrongAddress(url)
+    return url.rstrip("/")
+
+
+def http_options(base_url: str) -> dict[str, Any]:
+    """The options of an httpx client. No proxy of the environment reaches services on this machine."""
+    is_here = httpx.URL(base_url).host in ("127.0.0.1", "localhost", "::1")
+    return {"base_url": base_url, "follow_redirects": True, "trust_env": not is_here}
+
+
+def path_of(*parts: str) -> str:
+    # Quoted, so that an id or a name with a slash or dots cannot become another address.
+    return "".join(f"/{quote(part, safe='')}" for part in parts)
+
+
+def the_one(name: str, ids: Sequence[str], kind: str) -> str:
+    """The id, of these newest first, that `last`, a beginning or an end means.
+
+    kind: a word for what they name. Raises LookupError, where none or several fit.
+    """
+    if name == "last":
+        if ids:
+            return ids[0]
+        raise LookupError(f"There is no {kind} yet.")
+    fitting = [full_id for full_id in ids if full_id.startswith(name) or full_id.endswith(name)]
+    if len(fitting) == 1:
+        return fitting[0]
+    if not fitting:
+        raise LookupError(
+            f"None of the newest {SEARCHED:,} {kind}s has an id that begins or ends with {name!r}."
+        )
+    raise LookupError(f"{name!r} fits {len(fitting)} {kind}s: {', '.join(fitting[:5])}. Give more of the id.")
+
+
+def target(name: str, path: str | Path | None) -> Path:
+    """Where the file goes: `path`, or inside it when it is a folder; by default here."""
+    chosen = Path(path) if path is not None else Path.cwd()
+    return chosen / PurePosixPath(name).name if chosen.is_dir() else chosen
+
+
+def models_in(archive: Path, folder: Path) -> list[Path]:
+    """The models in an export, unpacked into the folder; none of a damaged zip, which the service refuses."""
+    try:
+        with ZipFile(archive) as opened:
+            infos = [
+                info
+                for info in opened.infolist()
+                if info.filename.startswith("model/")
+                and not info.is_dir()
+                and info.file_size <= _LARGEST_MODEL
+            ]
+            models = [folder / f"model-{number}" for number in range(len(infos))]
+            for info, model in zip(infos, models, strict=True):
+                with opened.open(info) as source, model.open("wb") as file:
+                    shutil.copyfileobj(source, file)
+    except (BadZipFile, zlib.error, RuntimeError):  # RuntimeError: an unknown compression, or a password
+        return []
+    return models

@@ -1,0 +1,55 @@
+"""The client of a service; `.ci/make_client.py` makes `gaitway.client` from `gaitway.async_client`."""
+
+from types import TracebackType
+from typing import Self
+
+import httpx
+
+from gaitway.addresses import address
+from gaitway.async_client.files import AsyncFiles
+from gaitway.async_client.jobs import AsyncJob
+from gaitway.async_client.sweeps import AsyncSweeps
+from gaitway.retry import Retry
+
+__all__ = ["AsyncClient", "AsyncJob"]
+
+
+class AsyncClient(AsyncFiles, AsyncSweeps):
+    """Talks to one service. Usable as a context manager; `Client` also from several threads.
+
+    `AsyncClient` has the methods of `Client`, awaited; `list`, `sweeps`, `models`, `workers`, `events` and
+    `logs` are read with `async for`.
+    base_url: by default that of GAITWAY_URL, otherwise http://127.0.0.1:8000. http: an httpx client.
+    Every method raises ApiError for a refusal (NotFound, Conflict, Rejected, Unavailable), and
+    Unreachable when nothing answers. Temporary failures are retried first; a retry never has an
+    effect twice, not even that of `submit`. An address without http:// is a WrongAddress.
+    """
+
+    def __init__(
+        self,
+        base_url: str | None = None,
+        *,
+        timeout_s: float = 30.0,
+        retry: Retry | None = None,
+        http: httpx.AsyncClient | None = None,
+    ) -> None:
+        super().__init__(address(base_url), timeout_s, retry or Retry(), http)
+
+    @property
+    def base_url(self) -> str:
+        return self._base_url
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._http.aclose()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.base_url!r})"

@@ -1,0 +1,137 @@
+# Made by .ci/make_client.py: change gaitway/async_client/catalog.py instead.
+"""Users' own models, stills of bodies, environments, and the service itself."""
+
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import httpx
+
+from gaitway.addresses import POLL_S
+from gaitway.client.connection import Connection
+from gaitway.concurrency import sleep
+from gaitway.errors import Rejected, WaitTimeout
+from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, WorkerView
+
+# As the service allows.
+_LONGEST_NAME = 100
+
+
+class Catalog(Connection):
+    """The methods about what jobs may name, and about the service."""
+
+    def add_model(
+        self,
+        path: str | Path,
+        timeout: float = 120.0,
+        *,
+        name: str | None = None,
+        main: str | None = None,
+    ) -> ModelView:
+        """Send a model (MJCF, URDF, or a zip of it and its meshes), and wait until it is validated.
+
+        The same file is the same model; the name is the last one that it was sent by. name: by default the
+        file's. main: the document of a zip that is the model, where it has several. Raises Rejected where it
+        cannot be used, and WaitTimeout after `timeout` seconds without a worker that validates it.
+        """
+        file = Path(path)
+        body = file.read_bytes()
+        deadline = time.monotonic() + timeout
+        headers = {"Content-Type": "application/zip" if body.startswith(b"PK") else "application/xml"}
+        if name is None:  # The service takes no control characters, and only so many others.
+            name = "".join(sign for sign in file.name if sign.isprintable())[:_LONGEST_NAME] or None
+        params = {key: value for key, value in (("name", name), ("main", main)) if value is not None}
+        model = self._post("/models", ModelView, content=body, headers=headers, params=params)
+        while model.status == "validating":
+            if time.monotonic() > deadline:
+                raise WaitTimeout(
+                    f"No worker has read model {model.id} after {timeout:g} s; one that trains reads it"
+                    " after its job. The service keeps it: `gaitway models show` tells when it is ready."
+                )
+            sleep(POLL_S)
+            model = self.model(model.id)
+        if model.status == "refused":
+            raise Rejected(422, {"detail": model.message, "type": "/problems/bad-model"})
+        return model
+
+    def model(self, model_id: str) -> ModelView:
+        """A model with its contents."""
+        return self._get(f"/models/{quote(model_id, safe=':')}", ModelView)
+
+    def models(self, *, limit: int | None = None, name: str | None = None) -> Iterator[ModelView]:
+        """Models, the last sent first, fetched page by page as needed; at most `limit`.
+
+        name: only those of this name.
+        """
+        return self._all("/models", ModelView, limit, {"name": name} if name is not None else {})
+
+    def delete_model(self, model_id: str) -> None:
+        """Remove a model. Raises Conflict while an unfinished job needs it."""
+        self._request("DELETE", f"/models/{quote(model_id, safe=':')}")
+
+    def preview(  # noqa: PLR0913 # A request's options.
+        self,
+        environment: str,
+        folder: str | Path | None = None,
+        *,
+        options: Mapping[str, Any] | None = None,
+        camera: str | int | None = None,
+        show: Sequence[str] = (),
+        size: tuple[int, int] = (640, 480),
+        timeout: float = 120.0,
+    ) -> Mapping[str | int, Path]:
+        """The environment as an episode begins: a PNG in `folder` (by default here) from each camera.
+
+        camera: only this one. show: what is drawn besides the body, as in a job's `video.show`. size: width
+        and height in pixels. Raises Rejected for an unknown option or camera, and WaitTimeout after `timeout`
+        seconds without a worker that renders it.
+        """
+        query: dict[str, Any] = {"options": json.dumps(options or {}), "show": [*show]}
+        query |= {"width": size[0], "height": size[1]}
+        bodies: dict[str | int, bytes] = {}
+        if camera is None:
+            drawn = self._drawn(environment, query, timeout)
+            for still in PreviewView.model_validate_json(drawn.content).stills:
+                bodies[still.camera] = (self._request("GET", still.href)).content
+        else:
+            bodies[camera] = (self._drawn(environment, {**query, "camera": camera}, timeout)).content
+        target = Path(folder or ".")
+        target.mkdir(parents=True, exist_ok=True)
+        pictures = {seen: target / f"{environment}-{seen}.png".replace("/", "-") for seen in bodies}
+        for seen, file in pictures.items():
+            file.write_bytes(bodies[seen])
+        return pictures
+
+    def _drawn(self, environment: str, query: Mapping[str, Any], timeout: float) -> httpx.Response:
+        """The answer once a worker has rendered."""
+        deadline, path = time.monotonic() + timeout, f"/environments/{quote(environment)}/preview"
+        while (answer := self._request("GET", path, params=query)).status_code == 202:
+            if time.monotonic() > deadline:
+                raise WaitTimeout(
+                    f"No worker has rendered it after {timeout:g} s; all may be busy with jobs."
+                )
+            sleep(POLL_S)
+        return answer
+
+    def environments(self, family: str | None = None) -> Sequence[EnvironmentDetails]:
+        """The environments that a job may name. family: only `gaitway`, `playground` or `brax`."""
+        return self._items("/environments", EnvironmentDetails, params={"family": family} if family else {})
+
+    def environment(self, environment: str, options: Mapping[str, Any] | None = None) -> EnvironmentDetails:
+        """One environment under these options: what it is shown and does, and what a job gets by default.
+
+        Raises Rejected for an unknown option.
+        """
+        params = {"options": json.dumps(options)} if options else {}
+        return self._get(f"/environments/{quote(environment)}", EnvironmentDetails, params=params)
+
+    def workers(self, *, limit: int | None = None) -> Iterator[WorkerView]:
+        """The workers that have sent a heartbeat lately, by name; at most `limit`."""
+        return self._all("/workers", WorkerView, limit, {})
+
+    def health(self) -> Mapping[str, Any]:
+        """The service's readiness. Raises Unavailable when a part of it is unavailable."""
+        return (self._request("GET", "/readyz")).json()

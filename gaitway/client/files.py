@@ -1,0 +1,277 @@
+# Made by .ci/make_client.py: change gaitway/async_client/files.py instead.
+"""A job's files, and files made of a job. A file gets its name once it is whole and its hash is right."""
+
+import hashlib
+import tempfile
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Literal
+from urllib.parse import quote
+
+import httpx
+
+from gaitway import policy
+from gaitway.addresses import OnBytes, models_in, path_of, target
+from gaitway.client.catalog import Catalog
+from gaitway.client.connection import Connection
+from gaitway.client.jobs import Job, Jobs
+from gaitway.concurrency import run, sleep
+from gaitway.errors import ApiError, DownloadFailed, NotFound, Unavailable, Unreachable
+from gaitway.schema import ArtifactView, JobView
+
+_ENDINGS = {"numpy": "npz", "onnx": "onnx"}
+
+
+class Downloads(Connection):
+    """Downloads artifacts, and documents that the service makes as they are asked for."""
+
+    def _download(self, artifact: ArtifactView, path: Path, on_bytes: OnBytes | None = None) -> Path:
+        """Download the artifact to `path`, which is returned. on_bytes: called with (bytes here, in all).
+
+        Bytes are gathered in `<path>.<hash>.part`, from which a later call resumes. Raises DownloadFailed
+        when two downloads had another hash, ApiError, and Unreachable when the service stays unavailable.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{path.name}.{artifact.sha256[:8]}.part")
+        for _ in range(2):  # the second time from the beginning, in case an old part was damaged
+            self._fill(part, artifact, on_bytes)
+            if run(partial(_sha256, part)) == artifact.sha256:
+                part.replace(path)
+                return path
+            part.unlink()
+        raise DownloadFailed(
+            f"{artifact.name} came with another SHA-256 than announced, twice; it was deleted."
+        )
+
+    def _fill(self, part: Path, artifact: ArtifactView, on_bytes: OnBytes | None) -> None:
+        """Download the part to its full size, over as many connections as needed."""
+        part.touch()
+        if part.stat().st_size > artifact.size:
+            part.write_bytes(b"")
+        failures, lost_since = 0, time.monotonic()
+        while (have := part.stat().st_size) < artifact.size:
+            error: Exception | None = None
+            try:
+                self._append(part, artifact, have, on_bytes)
+            except (Unreachable, Unavailable) as caught:
+                error = caught
+            except ApiError as caught:
+                if caught.status != 416:
+                    raise
+                part.unlink()
+                raise DownloadFailed(
+                    f"The service has fewer bytes of {artifact.href} than it announced."
+                ) from caught
+            if part.stat().st_size > have:
+                failures, lost_since = 0, time.monotonic()
+                continue
+            failures += 1
+            if time.monotonic() - lost_since > self._retry.patience_s:
+                raise error or DownloadFailed(f"{artifact.href} stops after {have} of {artifact.size} bytes.")
+            sleep(self._retry.delay_s(failures, error))
+
+    def _append(self, part: Path, artifact: ArtifactView, have: int, on_bytes: OnBytes | None) -> None:
+        """Add to the part what one connection brings."""
+        # Any re-encoding on the way would make byte positions meaningless.
+        headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={have}-"} if have else {})
+        with self._opened(artifact.href, headers=headers) as response:
+            is_rest = _is_rest(response, have)
+            here = have if is_rest else 0
+            with part.open("ab" if is_rest else "wb") as file:
+                for chunk in response.iter_raw():
+                    here += len(chunk)
+                    if here > artifact.size:
+                        raise DownloadFailed(
+                            f"{artifact.href} has more bytes than the {artifact.size} announced."
+                        )
+                    file.write(chunk)
+                    if on_bytes is not None:
+                        on_bytes(here, artifact.size)
+
+    def _save(self, href: str, path: Path) -> Path:
+        """Save a document that the service makes as it is asked, whose size and hash nobody knows before.
+
+        The file gets its name once it is whole; after a broken connection it is asked for again. Raises
+        ApiError, and Unreachable.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{path.name}.part")
+        for failures in range(1, self._retry.attempts + 1):
+            try:
+                with self._opened(href, headers={"Accept-Encoding": "identity"}) as response:
+                    with part.open("wb") as file:
+                        for chunk in response.iter_bytes():
+                            file.write(chunk)
+                part.replace(path)
+                return path
+            except (Unreachable, Unavailable) as error:
+                part.unlink(missing_ok=True)
+                if failures == self._retry.attempts:
+                    raise
+                sleep(self._retry.delay_s(failures, error))
+        raise AssertionError("a Retry needs at least one attempt")
+
+
+class Files(Jobs, Catalog, Downloads):
+    """The methods about files."""
+
+    def artifacts(self, job_id: str) -> Sequence[ArtifactView]:
+        """All files of the job."""
+        return self._items(self._job_path(job_id, "artifacts"), ArtifactView)
+
+    def checkpoints(self, job_id: str) -> Sequence[ArtifactView]:
+        """The kept checkpoints, ordered by step."""
+        found = [artifact for artifact in self.artifacts(job_id) if artifact.role == "checkpoint"]
+        return sorted(found, key=lambda artifact: artifact.step or 0)
+
+    def download(
+        self, job_id: str, name: str, path: str | Path | None = None, *, on_bytes: OnBytes | None = None
+    ) -> Path:
+        """Download the artifact `name` to `path` (a file or a folder; by default here), and check its hash.
+
+        A broken download is resumed, also by a later call. on_bytes: called with (bytes here, in all).
+        """
+        job_id = self._full_id(job_id)
+        href = path_of("jobs", job_id, "artifacts", name)
+        artifact = self._announced(job_id, lambda job: job.artifact(name), href)
+        return self._download(artifact, target(artifact.name, path), on_bytes)
+
+    def video(
+        self,
+        job_id: str,
+        path: str | Path | None = None,
+        step: int | None = None,
+        *,
+        on_bytes: OnBytes | None = None,
+    ) -> Path:
+        """Download the job's video as an MP4 to `path`; step: of this checkpoint, not the newest."""
+        return self._newest(job_id, "video", path, step, on_bytes)
+
+    def poster(self, job_id: str, path: str | Path | None = None, step: int | None = None) -> Path:
+        """Download a still of the video."""
+        return self._newest(job_id, "poster", path, step, None)
+
+    def _newest(
+        self, job_id: str, role: str, path: str | Path | None, step: int | None, on_bytes: OnBytes | None
+    ) -> Path:
+        job_id = self._full_id(job_id)
+        href = path_of("jobs", job_id, role) + ("" if step is None else f"?step={step}")
+        artifact = self._announced(job_id, lambda job: job.newest(role, step), href)
+        return self._download(artifact, target(artifact.name, path), on_bytes)
+
+    def load_policy(
+        self, job_id: str, step: int | None = None, deterministic: bool = True, *, best: bool = False
+    ) -> policy.Policy:
+        """The trained policy as a jitted function: `act(observation, key=None)` on arrays [..., size].
+
+        It returns an action; of Q-learning the columns chosen (docs/q_learning.md), each to be held for
+        `decision_steps` steps.
+        step: the policy of this checkpoint; by default the final one, or that of the newest checkpoint if the
+        job has no final one yet. best: the policy whose evaluation had the highest return, instead.
+        deterministic: without exploration noise (otherwise `key` is needed). Call a policy that was trained
+        with `action_repeat` once every `action_repeat` steps, and hold its action.
+        Raises MissingExtra without the `policy` extra, and PolicyUnreadable.
+        """
+        job = self.get(job_id)
+        artifact = policy.file_of(job, step, best)
+        with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
+            path = self._download(artifact, Path(folder) / "policy")
+            return run(
+                partial(
+                    policy.load,
+                    path,
+                    policy.algorithm_of(job),
+                    is_checkpoint=artifact.role == "checkpoint",
+                    deterministic=deterministic,
+                )
+            )
+
+    def export_policy(
+        self,
+        job_id: str,
+        format: Literal["numpy", "onnx"],
+        path: str | Path | None = None,
+        *,
+        best: bool = False,
+        on_bytes: OnBytes | None = None,
+    ) -> Path:
+        """Download the final policy for programs without this package, to `path` (docs/export.md).
+
+        format: `numpy`, `policy.npz`, which `gaitway.exported_policy` reads with NumPy alone; or `onnx`,
+        `policy.onnx` for any ONNX runtime. best: the policy whose evaluation had the highest return, instead:
+        `policy-best.npz` or `policy-best.onnx`. Raises NotReady until the job has ended (the artifact
+        `policy.npz` is the newest checkpoint's until then), and Rejected for the tables of Q-learning.
+        """
+        job_id = self._full_id(job_id)
+        href = f"{path_of('jobs', job_id, 'policy')}?format={quote(format)}" + ("&which=best" if best else "")
+        name = f"{'policy-best' if best else 'policy'}.{_ENDINGS.get(format, '')}"
+        role = "best_policy" if best else "policy"
+        artifact = self._announced(job_id, lambda job: _finished(job, name, role), href)
+        return self._download(artifact, target(artifact.name, path), on_bytes)
+
+    def export(self, job_id: str, path: str | Path | None = None) -> Path:
+        """Download all that is needed to run the job again elsewhere, as a zip (docs/sharing.md).
+
+        `import_job` makes a job of it on another service."""
+        job_id = self._full_id(job_id)
+        return self._save(path_of("jobs", job_id, "export"), target(f"{job_id}.zip", path))
+
+    def share(self, job_id: str, path: str | Path | None = None) -> Path:
+        """Download a report on the job: one HTML file with curves and video, which needs no network."""
+        job_id = self._full_id(job_id)
+        return self._save(path_of("jobs", job_id, "report.html"), target(f"{job_id}.html", path))
+
+    def import_job(
+        self, path: str | Path, *, idempotency_key: str | None = None, timeout: float = 600.0
+    ) -> Job:
+        """Make an ended job of an export, from this service or another: others can resume from it.
+
+        The user's own model in it is sent first. Retries of the request create only one job; idempotency_key
+        extends this to several calls. timeout: seconds for the service to store it. Raises Rejected where the
+        file is no whole export, or the service cannot have such a job (docs/sharing.md).
+        """
+        file = Path(path)
+        with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
+            for model in run(partial(models_in, file, Path(folder))):
+                self.add_model(model, timeout)
+        headers = {
+            "Content-Type": "application/zip",
+            "Idempotency-Key": idempotency_key or uuid.uuid4().hex,
+        }
+        # The service answers once it has read all of the file and stored it.
+        return self._post("/jobs/import", Job, file=file, headers=headers, read_timeout_s=timeout)
+
+    def _announced(
+        self, job_id: str, find: Callable[[JobView], ArtifactView | None], href: str
+    ) -> ArtifactView:
+        """The artifact that `find` finds in the job; or raises the service's refusal."""
+        artifact = find(self.get(job_id))
+        if artifact is None:
+            self._request("GET", href, headers={"Range": "bytes=0-0"})
+            artifact = find(self.get(job_id))  # it has come in between
+        if artifact is None:
+            raise NotFound(404, {"detail": f"Job {job_id} does not list the file at {href}."})
+        return artifact
+
+
+def _finished(job: JobView, name: str, role: str) -> ArtifactView | None:
+    """The file of this name, if it is of the policy with this role; there may be one of an older policy."""
+    found, own = job.artifact(name), job.newest(role)
+    if found is None or own is None:
+        return found if job.is_final else None
+    return found if found.step == own.step else None
+
+
+def _is_rest(response: httpx.Response, have: int) -> bool:
+    """Whether the answer is the rest that was asked for, not the whole file."""
+    return response.status_code == 206 and response.headers.get("Content-Range", "").startswith(
+        f"bytes {have}-"
+    )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

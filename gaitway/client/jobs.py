@@ -1,0 +1,203 @@
+# Made by .ci/make_client.py: change gaitway/async_client/jobs.py instead.
+"""Jobs: submitted, listed, followed and shown."""
+
+import time
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal, overload
+
+from pydantic import PrivateAttr
+
+from gaitway import frames, notebook
+from gaitway.client.following import Following
+from gaitway.concurrency import card_in_a_cell
+from gaitway.errors import WaitTimeout
+from gaitway.notebook import Card
+from gaitway.schema import JobView, Metrics, MetricsRow
+from gaitway.views import Event, Page
+
+
+class Job(JobView):
+    """A job as it was when it was read, and the client that read it; read it again for news.
+
+    A notebook's cell that ends with it shows it; `show` follows it there.
+    """
+
+    _client: "Jobs" = PrivateAttr()
+
+    def model_post_init(self, context: Any) -> None:
+        self._client = context
+
+    def wait(self, timeout: float | None = None) -> "Job":
+        """The job once it has ended; as the client's `wait`."""
+        return self._client.wait(self.id, timeout)
+
+    def show(self, *, every_s: float = 1.0) -> None:
+        """Follow it in a notebook, below the cell, until it ends; as the client's `show`."""
+        self._client.show(self.id, every_s=every_s)
+
+    def _repr_html_(self) -> str:
+        return notebook.job_html(self, card_in_a_cell(self._client, self))
+
+
+class Jobs(Following):
+    """The methods about whole jobs."""
+
+    def submit(
+        self, spec: Mapping[str, Any] | None = None, *, idempotency_key: str | None = None, **fields: Any
+    ) -> Job:
+        """Queue a job: `submit(environment="ant", algorithm={"kind": "ppo", "num_timesteps": 1_000_000})`.
+
+        fields override those of `spec`; `kind` is `train` by default. Retries of the request create
+        only one job. idempotency_key: extends this to several calls; the same key with another
+        specification raises Conflict.
+        """
+        document = {"kind": "train", **(spec or {}), **fields}
+        headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
+        return self._post("/jobs", Job, json=document, headers=headers)
+
+    def get(self, job_id: str) -> Job:
+        """The job as it is now."""
+        return self._get(self._job_path(job_id), Job)
+
+    def list(self, *, limit: int | None = None, **filters: Any) -> Iterator[Job]:
+        """Jobs in brief, newest first, fetched page by page as needed; at most `limit`.
+
+        Each has its newest ten attempts and files of each role; `get` has all.
+        filters: status, kind, environment, name, and labels (a dict, every one must match).
+        """
+        return self._all("/jobs", Job, limit, _query(filters))
+
+    def page(self, *, cursor: str | None = None, limit: int = 50, **filters: Any) -> Page[Job]:
+        """One page of jobs, newest first; cursor: the `next` of an earlier page."""
+        return self._page("/jobs", Job, cursor, limit, _query(filters))
+
+    def cancel(self, job_id: str) -> Job:
+        """Ask a job to stop; its checkpoint, metrics and video up to then are kept.
+
+        Raises Conflict where the job has ended.
+        """
+        return self._post(self._job_path(job_id, "cancel"), Job)
+
+    def delete(self, job_id: str) -> None:
+        """Remove an ended job and its files. Raises Conflict while it runs."""
+        self._request("DELETE", self._job_path(job_id))
+
+    def specification(self, job_id: str) -> dict[str, Any]:
+        """The job's specification with all defaults filled in, which can be submitted again."""
+        return (self._request("GET", self._job_path(job_id, "specification"))).json()
+
+    def wait(self, job_id: str, timeout: float | None = None) -> Job:
+        """The job once it has ended, however it ended. timeout: seconds; then it raises WaitTimeout."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        job = self.get(job_id)
+        if not job.is_final:
+            for _ in self._follow(job.id, deadline=deadline):
+                pass
+            job = self.get(job.id)
+        if not job.is_final:
+            raise WaitTimeout(f"Job {job.id} is still {job.status} after {timeout:g} s; it continues.")
+        return job
+
+    def events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
+        """The job's events, live, until it ends.
+
+        Kinds: status, progress, metrics, artifact, phase.
+        after: the id of the last event seen; later ones follow. Broken connections are resumed
+        without a gap or a repetition.
+        """
+        return self._follow(job_id, after)
+
+    def logs(self, job_id: str, follow: bool = False) -> Iterator[str]:
+        """The job's log, line by line; follow: also new lines, until the job ends."""
+        return self._follow_log(job_id) if follow else self._log(job_id)
+
+    def _log(self, job_id: str) -> Iterator[str]:
+        answer = self._request("GET", self._job_path(job_id, "logs"))
+        yield from answer.text.splitlines()
+
+    @overload
+    def metrics(
+        self, job_id: str, *, names: Sequence[str] = (), points: int | None = None
+    ) -> Sequence[MetricsRow]: ...
+
+    @overload
+    def metrics(
+        self,
+        job_id: str,
+        *,
+        names: Sequence[str] = (),
+        points: int | None = None,
+        as_: Literal["pandas", "polars"],
+    ) -> Any: ...
+
+    def metrics(
+        self,
+        job_id: str,
+        *,
+        names: Sequence[str] = (),
+        points: int | None = None,
+        as_: Literal["rows", "pandas", "polars"] = "rows",
+    ) -> Any:
+        """All metrics so far, in the order of measurement.
+
+        names: only these metrics. points: for pictures, at most this many values of each, the least and the
+        greatest among them. as_: `pandas` or `polars` for a data frame with columns `step`, `time` and
+        each metric; raises MissingExtra where that package is not installed.
+        """
+        frame = frames.maker(as_)  # Raises before anything is fetched.
+        path = self._job_path(job_id, "metrics")
+        if points is not None:
+            params = {"points": points, "metric": [*names]}
+            return frame((self._get(path, Metrics, params=params)).rows)
+        rows, after = list[MetricsRow](), ""
+        while True:
+            page = self._get(path, Metrics, params={"after": after})
+            rows += page.rows
+            if not page.rows or not page.next:
+                return frame(frames.only(names, rows) if names else rows)
+            after = page.next
+
+    def curve(self, job_id: str, names: Sequence[str] = ()) -> str:
+        """A picture of metrics over steps, as SVG; by default of the return."""
+        path = self._job_path(job_id, "curve")
+        return (self._request("GET", path, params={"metric": [*names]})).text
+
+    def show(self, job_id: str, *, every_s: float = 1.0) -> None:
+        """Follow a job in a notebook: its status, curve and newest video stand below the cell until it ends.
+
+        every_s: seconds between two looks. Raises MissingExtra outside a notebook.
+        """
+        display = notebook.Display()
+        shown_at = time.monotonic()
+        job = self._shown(display, job_id)
+        if job.is_final:
+            return
+        for _ in self.events(job.id):
+            if time.monotonic() - shown_at >= every_s:
+                shown_at = time.monotonic()
+                self._shown(display, job.id)
+        self._shown(display, job.id)
+
+    def _shown(self, display: notebook.Display, job_id: str) -> Job:
+        job = self.get(job_id)
+        display.show(job, self._card(job, display.video_seen))
+        return job
+
+    def card(self, job: JobView) -> Card:
+        """The pictures that a notebook shows of the job."""
+        return self._card(job, None)
+
+    def _card(self, job: JobView, video_seen: str | None) -> Card:
+        """video_seen: the hash of a video that is shown already."""
+        curve = self.curve(job.id) if job.kind == "train" else None
+        video = job.newest("video")
+        if video is None or video.sha256 == video_seen or video.size > notebook.MOST_BYTES:
+            return Card(curve, None)
+        return Card(curve, (self._request("GET", video.href)).content)
+
+
+def _query(filters: Mapping[str, Any]) -> dict[str, Any]:
+    labels: Mapping[str, str] = filters.get("labels") or {}
+    query = {name: value for name, value in filters.items() if value is not None and name != "labels"}
+    return query | {"label": [f"{name}={value}" for name, value in labels.items()]}

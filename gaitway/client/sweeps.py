@@ -1,0 +1,63 @@
+# Made by .ci/make_client.py: change gaitway/async_client/sweeps.py instead.
+"""Sweeps."""
+
+import time
+import uuid
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from gaitway.addresses import POLL_S, path_of
+from gaitway.client.connection import Connection
+from gaitway.concurrency import sleep
+from gaitway.errors import WaitTimeout
+from gaitway.schema import SweepDetails
+
+
+class Sweeps(Connection):
+    """The methods about sweeps."""
+
+    def sweep(
+        self, spec: Mapping[str, Any] | None = None, *, idempotency_key: str | None = None, **fields: Any
+    ) -> SweepDetails:
+        """Start a sweep, whose trials are jobs (docs/sweeps.md).
+
+        `sweep(job={"environment": "ant"}, method="grid", parameters={"seed": [1, 2]})`; fields override those
+        of `spec`, and the job's `kind` is `train` by default. Retries of the request make only one sweep.
+        """
+        document = {**(spec or {}), **fields}
+        if isinstance(job := document.get("job"), Mapping):
+            document["job"] = {"kind": "train", **job}
+        headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
+        return self._post("/sweeps", SweepDetails, json=document, headers=headers)
+
+    def get_sweep(self, sweep_id: str) -> SweepDetails:
+        """The sweep as it is now, with its trials, the best so far and the importance of its axes."""
+        return self._get(path_of("sweeps", sweep_id), SweepDetails)
+
+    def sweeps(self, *, limit: int | None = None, status: str | None = None) -> Iterator[SweepDetails]:
+        """Sweeps, newest first, without their trials; at most `limit`."""
+        return self._all("/sweeps", SweepDetails, limit, {"status": status} if status is not None else {})
+
+    def cancel_sweep(self, sweep_id: str) -> SweepDetails:
+        """Start no more trials, and cancel those that run; they keep their work."""
+        return self._post(path_of("sweeps", sweep_id, "cancel"), SweepDetails)
+
+    def resume_sweep(self, sweep_id: str, **budget: Any) -> SweepDetails:
+        """Continue under another budget, which counts the trials so far: `resume_sweep(id, jobs=40)`."""
+        path = path_of("sweeps", sweep_id, "resume")
+        return self._post(path, SweepDetails, json={"budget": budget})
+
+    def delete_sweep(self, sweep_id: str) -> None:
+        """Remove the record of an ended sweep; its jobs stay."""
+        self._request("DELETE", path_of("sweeps", sweep_id))
+
+    def wait_for_sweep(self, sweep_id: str, timeout: float | None = None) -> SweepDetails:
+        """The sweep once it has ended. timeout: seconds; then it raises WaitTimeout."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not (sweep := self.get_sweep(sweep_id)).is_final:
+            if deadline is not None and time.monotonic() > deadline:
+                raise WaitTimeout(
+                    f"Sweep {sweep_id} is still {sweep.status} after {timeout:g} s; it continues."
+                )
+            sleep(POLL_S)
+        return sweep

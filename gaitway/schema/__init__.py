@@ -1,0 +1,49 @@
+"""The documents of the service: the API writes them, the client reads them.
+
+The service writes every member. A client reads without those that have a default here, and ignores members
+that it does not know, so that it works with an older and with a newer service.
+"""
+
+from gaitway.schema.base import FINAL_STATUSES, View
+from gaitway.schema.catalog import (
+    EnvironmentDetails,
+    EnvironmentView,
+    ModelView,
+    PreviewView,
+    SliceView,
+    StillView,
+    WorkerView,
+)
+from gaitway.schema.jobs import (
+    ArtifactView,
+    AttemptView,
+    JobView,
+    Metrics,
+    MetricsRow,
+    OriginView,
+    ProgressView,
+)
+from gaitway.schema.sweeps import GroupView, SweepDetails, SweepView, TrialView
+
+__all__ = [
+    "FINAL_STATUSES",
+    "ArtifactView",
+    "AttemptView",
+    "EnvironmentDetails",
+    "EnvironmentView",
+    "GroupView",
+    "JobView",
+    "Metrics",
+    "MetricsRow",
+    "ModelView",
+    "OriginView",
+    "PreviewView",
+    "ProgressView",
+    "SliceView",
+    "StillView",
+    "SweepDetails",
+    "SweepView",
+    "TrialView",
+    "View",
+    "WorkerView",
+]

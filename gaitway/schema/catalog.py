@@ -1,0 +1,130 @@
+"""What a job may name: environments and users' own models; their stills, and the workers that run jobs."""
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from pydantic import ConfigDict, Field, JsonValue
+
+from gaitway.schema.base import Device, EngineName, ModelContents, ModelStatus, PreviewStatus, View
+
+
+class SliceView(View):
+    """A part of an observation, or of an action: `size` numbers from `start` on.
+
+    name: the same for neighbouring slices of one array, each of which has one unit. unit: `1` for numbers
+    without one; several, in the order of a row, where rows of different quantities repeat; None where it is
+    not known. low, high: of an observation bounds that its values keep, up to rounding, or None; of an
+    action, whose numbers lie in [-1, 1], what -1 and 1 set. components: a name for each number; empty where
+    they are not known.
+    """
+
+    name: str
+    start: int
+    size: int
+    unit: str | None = None
+    low: float | None = None
+    high: float | None = None
+    components: tuple[str, ...] = ()
+
+
+class EnvironmentView(View):
+    """An environment. dt: seconds between actions; options: their JSON Schema.
+
+    tuned: hyperparameters that fit it, by algorithm and device. environment_options: by algorithm, the
+    options that a job takes where it leaves them out, because `tuned` is made for them. family: `gaitway`, or
+    the package that provides it. cannot_run: engines that cannot run it, each with the reason.
+    Sizes and dt are null where they depend on the model that the options name.
+    """
+
+    # A client keeps members that it does not know as attributes.
+    model_config = ConfigDict(extra="allow")
+
+    id: str
+    family: str = ""
+    description: str = ""
+    observation_size: int | None = None
+    action_size: int | None = None
+    dt: float | None = None
+    episode_length: int = 0
+    cameras: tuple[str, ...] = ()
+    options: dict[str, Any] = {}
+    tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = {}
+    environment_options: Mapping[str, Mapping[str, Any]] = {}
+    cannot_run: Mapping[EngineName, str] = {}
+
+
+class EnvironmentDetails(EnvironmentView):
+    """An environment under the given options, and what a job on it gets by default.
+
+    defaults: every hyperparameter of a job that sets none, by algorithm and device. An algorithm that needs
+    more than its defaults on this environment is left out.
+    observation, action: their numbers in order, with units and bounds; empty where they depend on a model
+    that the options do not name.
+    metrics: what a job reports, by algorithm and for `rollout`; without the terms of a reward that depend on
+    options, `eval/episode_…`.
+    """
+
+    observation: tuple[SliceView, ...] = ()
+    action: tuple[SliceView, ...] = ()
+    defaults: Mapping[str, Mapping[Device, Mapping[str, Any]]] = {}
+    metrics: Mapping[str, tuple[str, ...]] = {}
+
+
+class ModelView(View):
+    """A model. description: set once it is `ready`; message: why it was `refused`; size: bytes."""
+
+    id: str
+    name: str | None = None
+    status: ModelStatus
+    media_type: str = ""
+    size: int = 0
+    created_at: datetime
+    description: ModelContents | None = Field(
+        None, description="Its contents, and the engines that can run it."
+    )
+    message: str | None = None
+    links: dict[str, str] = {}
+
+
+class StillView(View):
+    """A still. camera: as a job's `video` names it; size: bytes; href: where to fetch the PNG."""
+
+    camera: str | int
+    size: int = 0
+    sha256: str = ""
+    href: str
+
+
+class PreviewView(View):
+    """An environment as the first episode of a rollout with seed 0 begins. options: all, with defaults."""
+
+    environment: str
+    options: dict[str, JsonValue] = {}
+    status: PreviewStatus
+    cameras: tuple[str | int, ...] = ()
+    stills: tuple[StillView, ...] = ()
+    links: dict[str, str] = {}
+
+
+class WorkerView(View):
+    """A worker's report on itself; the service's own type, `core.jobs.workers.WorkerInfo`, says more.
+
+    job: the one that it took from the queue. jobs: all that it runs, which may be several trials of a sweep.
+    state: ready, testing or device_failed; problem: what was wrong with its device. memory_bytes: of each of
+    its devices, where known. packages: the optional ones that it has; None where it did not report them.
+    """
+
+    name: str
+    host: str = ""
+    pid: int | None = None
+    device: str = ""
+    queues: tuple[str, ...] = ()
+    job: str | None = None
+    jobs: tuple[str, ...] = ()
+    state: str = "ready"
+    problem: str | None = None
+    memory_bytes: int | None = None
+    packages: tuple[str, ...] | None = None
+    started_at: datetime | None = None
+    seen_at: datetime | None = None
