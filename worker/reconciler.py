@@ -20,9 +20,7 @@ from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.jobs import feeds, orphans
 from core.jobs.deletion import end_deletions
-from core.jobs.reconciliation import Reconciler
-from core.jobs.strays import StrayMessages
-from core.jobs.unfinished_uploads import end_unfinished
+from core.jobs.reconciliation import Reconciler, StrayMessages
 from core.settings import ReconcilerSettings
 from core.sweeps.controller import SweepController
 from core.telemetry import configure_logging
@@ -98,7 +96,7 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
         Chore("record", _TIDY_EVERY_S, store.tidy),
         Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
         Chore("deletions", _DELETIONS_EVERY_S, partial(end_deletions, store=store, objects=objects)),
-        Chore("uploads", _TIDY_EVERY_S, partial(end_unfinished, store=store, objects=objects)),
+        Chore("uploads", _TIDY_EVERY_S, partial(orphans.end_unfinished, store=store, objects=objects)),
         LongChore("orphans", _TIDY_EVERY_S, partial(orphans.sweep, store=store, objects=objects)),
     ]
 

@@ -22,13 +22,12 @@ from core.bounds import MOST_METRICS
 from core.environments import catalog
 from core.errors import BadExport, EnvironmentNotFound, ModelNotFound, Rejected
 from core.jobs.checks import chosen
-from core.jobs.entries import status_entry
 from core.jobs.filled_in import filled_in
 from core.jobs.importing import ImportedFile, Run
 from core.jobs.job import Artifact, Attempt, Job, Origin, Progress, new_job_id
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.jobs.status import JobStatus
-from core.jobs.store import Entry
+from core.jobs.store import Entry, status_entry
 from core.reasons import Reason
 from core.storage import keys
 from core.user_models import library

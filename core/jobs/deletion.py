@@ -1,12 +1,13 @@
-"""Deletes a job permanently."""
+"""Deletes a job, or a user's own model, permanently."""
 
 from contextlib import suppress
 from datetime import timedelta
 
-from core.errors import JobNotFinished, StorageUnavailable
+from core.errors import JobNotFinished, ModelInUse, StorageUnavailable
 from core.jobs.store import JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.user_models import library
 
 # Another process may be writing a part of a feed just now: by then it has finished.
 _OBJECTS_AGAIN_AFTER = timedelta(minutes=2)
@@ -37,3 +38,15 @@ def end_deletions(*, store: JobStore, objects: ObjectStore, after: timedelta = _
         objects.delete_prefix(keys.job(job_id))
         store.deletion_ended(job_id)
     return len(deleted)
+
+
+def remove_model(model_id: str, *, store: JobStore, objects: ObjectStore) -> None:
+    """Remove the model's file and its record. Raises ModelNotFound, and ModelInUse while a job needs it.
+
+    Ended jobs keep their files, but their policies cannot be run here any more.
+    """
+    library.find(model_id, store)
+    if users := store.users_of(model_id):
+        raise ModelInUse(model_id, users)
+    objects.delete_prefix(keys.previews_of(model_id))
+    library.forget(model_id, store=store, objects=objects)

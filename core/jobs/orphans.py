@@ -1,4 +1,4 @@
-"""Removes objects that no record names, once they are a day old."""
+"""Removes objects that no record names, and uploads whose process died, once they are a day old."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from itertools import groupby
 
 import structlog
 
-from core.errors import ModelNotFound, ObjectNotFound
+from core.errors import ModelNotFound, ObjectNotFound, StorageUnavailable
 from core.jobs import columns
 from core.jobs.store import JobStore
 from core.storage import keys
@@ -15,7 +15,8 @@ from core.storage.objects import ObjectInfo, ObjectStore
 
 log = structlog.get_logger()
 
-# An object is written before a record names it, and may be read for a while after the record drops it.
+# An object is written before a record names it, and may be read for a while after the record drops it. No
+# upload of a process that is alive takes as long.
 GRACE = timedelta(hours=24)
 # A page of an S3 listing.
 _BATCH = 1000
@@ -142,3 +143,23 @@ def _remove(orphans: Collection[str], before: datetime, objects: ObjectStore, se
 def _is_older(info: ObjectInfo, before: datetime) -> bool:
     """Whether it was written before then; false if the store gives no time."""
     return info.modified_at is not None and info.modified_at < before
+
+
+def end_unfinished(*, store: JobStore, objects: ObjectStore, grace: timedelta = GRACE) -> int:
+    """Remove what such uploads left; returns how many there were. Raises RecordsUnavailable.
+
+    A store that refuses is only logged: the service does not need this, and its key may lack the right.
+    """
+    before = store.now() - grace
+    try:
+        ended = sum(objects.end_uploads(prefix, before) for prefix in keys.folders())
+    except StorageUnavailable as error:
+        log.warning(
+            "unfinished_uploads_kept",
+            error=error.detail,
+            remedy="a lifecycle rule of the bucket with AbortIncompleteMultipartUpload removes them, too",
+        )
+        return 0
+    if ended:
+        log.info("unfinished_uploads_ended", num_uploads=ended)
+    return ended

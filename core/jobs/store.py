@@ -9,7 +9,7 @@ from pydantic import Field
 
 from core.documents import Stored
 from core.errors import Problem, Rejected
-from core.jobs.job import Job, Progress, UnreadableJob
+from core.jobs.job import Job, Progress, UnreadableJob, utc_now
 from core.jobs.measured import Measured
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
@@ -32,6 +32,18 @@ class Entry(Stored):
     kind: str
     time: datetime
     data: dict[str, Any] = Field(default_factory=dict)
+
+
+def status_entry(job: Job, time: datetime | None = None) -> Entry:
+    """The event for a job's change of status; by default it has just changed."""
+    attempt = job.attempts[-1].number if job.attempts else None
+    said = {"status": job.status.value, "reason": job.reason, "message": job.message, "attempt": attempt}
+    return Entry(kind="status", time=time or utc_now(), data=said)
+
+
+def note_entry(text: str) -> Entry:
+    """An event for people."""
+    return Entry(kind="note", time=utc_now(), data={"text": text})
 
 
 def entry_number(entry_id: str) -> int:

@@ -5,10 +5,9 @@ from collections.abc import Iterator
 import pytest
 
 from core.errors import IdempotencyKeyReused, JobUnreadable
-from core.jobs.entries import status_entry
 from core.jobs.job import Job, Origin, UnreadableJob
 from core.jobs.status import JobStatus
-from core.jobs.store import Entry, Idempotency, JobQuery, JobStore
+from core.jobs.store import Entry, Idempotency, JobQuery, JobStore, status_entry
 from core.reasons import Reason
 from tests.contract.recording import NOW, artifact, queued_job
 

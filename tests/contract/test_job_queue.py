@@ -15,7 +15,7 @@ from core.adapters.rq.queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_
 from core.adapters.wiring import connect_redis
 from core.errors import RecordsUnavailable
 from core.jobs.queue import JobQueue, queue_names
-from core.jobs.strays import StrayMessages
+from core.jobs.reconciliation import StrayMessages
 from core.previews.record import PreviewRequest
 from gaitway.service.embedded.valkey import Valkey
 

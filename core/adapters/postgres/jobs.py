@@ -38,10 +38,9 @@ from core.adapters.postgres.tables import (
     jobs,
 )
 from core.errors import IdempotencyKeyReused, JobExists, JobInUse, JobNotFound, JobUnreadable, StaleJob
-from core.jobs.entries import note_entry, status_entry
 from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id
 from core.jobs.status import JobStatus
-from core.jobs.store import Entry, Idempotency, JobQuery, Mark, Page
+from core.jobs.store import Entry, Idempotency, JobQuery, Mark, Page, note_entry, status_entry
 
 KEYS_REMEMBERED = timedelta(hours=24)
 # Rows of one call, which has two seconds: an import of 5,000 files was refused as an outage.

@@ -6,8 +6,8 @@ from structlog.testing import capture_logs
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.errors import StorageRefuses
+from core.jobs.orphans import end_unfinished
 from core.jobs.store import JobStore
-from core.jobs.unfinished_uploads import end_unfinished
 
 
 class Uploads(MemoryObjectStore):
