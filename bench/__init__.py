@@ -1,1 +1,1 @@
-"""Measurements against targets and peers: `./run bench [NAME ...]`. Each prints a table and writes JSON."""
+"""Five benches: physics, train, service, recovery, demo. `./run bench NAME` measures and keeps a summary."""

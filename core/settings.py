@@ -28,7 +28,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from core.devices import GPUS, gpu_indices, num_cores
 from core.variables import PREFIX
 
-# As many as `./run bench gpu_cohort` measures.
+# As many as were measured: docs/performance.md.
 _COHORT_ON_GPU = 16
 _REDIS_SCHEMES = ("redis", "rediss", "unix")
 

@@ -1,1 +1,1 @@
-"""Single runs of other projects' code, or of what they publish, each in a process of its own."""
+"""Brax's trainer on this project's environments, beside which ours is measured."""

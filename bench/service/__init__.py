@@ -1,1 +1,25 @@
-"""Benches of the running service."""
+"""The service: submissions, lists among a million jobs, load with feeds, the page, the largest requests.
+
+The embedded stack's servers, the requests and the measuring share the machine.
+"""
+
+import argparse
+from importlib import import_module
+
+from bench.summary import Figure
+
+PARTS = ("submissions", "lists", "load", "page", "largest")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all by default")
+    parser.add_argument("--minutes", type=float, default=5.0, metavar="M", help="load: how long it lasts")
+    parser.add_argument("--only", default="*", metavar="PATTERN", help="largest: such routes, `GET *` say")
+
+
+def measure(arguments: argparse.Namespace) -> list[Figure]:
+    """The parts that were named, or all."""
+    if unknown := set(arguments.parts) - set(PARTS):
+        raise SystemExit(f"There is no part {unknown.pop()!r} of the bench `service`.")
+    parts = arguments.parts or PARTS
+    return [figure for part in parts for figure in import_module(f"{__name__}.{part}").measure(arguments)]

@@ -1,7 +1,7 @@
 """The least memory that a run needs, known before it begins; imports no numerical code.
 
 Only what is certainly in memory at the same time is counted: too low an estimate lets a run begin that may
-fail later, and too high an estimate would refuse a run that fits. bench/cpu/memory.py measures the error.
+fail later, and too high an estimate would refuse a run that fits.
 """
 
 from collections.abc import Sequence

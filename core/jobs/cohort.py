@@ -22,8 +22,8 @@ from core.jobs.workers import WorkerInfo
 
 # The label that a sweep's trials share.
 SWEEP = "sweep"
-# Of the device's memory, for what the runs certainly need. That is a fifth of what a run takes (`./run bench
-# memory`, for most of its bodies), and JAX takes three quarters of a GPU's memory for itself.
+# Of the device's memory, for what the runs certainly need. That is a fifth of what a run takes (measured for
+# four bodies), and JAX takes three quarters of a GPU's memory for itself.
 _SHARE_OF_MEMORY = 0.15
 
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from bench.service.gallery_pictures import SHOWN as FILMED
+from bench.pictures import SHOWN as FILMED
 from core.environments import catalog
 from core.environments.mjcf.describe import inventory
 from core.jobs.job import Job

@@ -1,1 +1,0 @@
-"""Benches of training, physics, rendering and memory, without a GPU (`memory --gpu` needs one)."""

@@ -1,1 +1,0 @@
-"""The tools of all benches: processes and runs, statistics, results, and the page made from them."""

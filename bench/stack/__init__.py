@@ -1,1 +1,0 @@
-"""Starts the service that a bench measures, waits for it, and sends it requests."""
