@@ -20,6 +20,7 @@ from core.environments.info import Device
 from core.jobs.job import ArtifactRole, JobPhase
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
+from core.jobs.workers import WorkerState
 from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.settings import ApiSettings
@@ -40,6 +41,7 @@ _VALUES: dict[str, Any] = {
     "PreviewStatus": Literal["ready", "drawing"],
     "Reason": Reason,
     "SweepStatus": SweepStatus,
+    "WorkerState": WorkerState,
 }
 _PROBLEM = {"content": {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}}
 

@@ -15,8 +15,8 @@ from core.algorithms.catalog import ALGORITHMS
 from core.bounds import LONGEST_NAME
 from core.environments.catalog import ENVIRONMENTS
 from core.errors import EnvironmentNotFound, RecordsUnavailable, Rejected
-from core.jobs.workers import WORKER_NAME, WorkerInfo
-from gaitway.schema import EnvironmentDetails, EnvironmentView
+from core.jobs.workers import WORKER_NAME
+from gaitway.schema import EnvironmentDetails, EnvironmentView, WorkerView
 
 router = APIRouter(tags=["catalog"])
 
@@ -106,7 +106,8 @@ class ListedWorkers(Parameters):
 
 
 @router.get("/workers", responses=refusals(Rejected, RecordsUnavailable))
-def list_workers(listed: Annotated[ListedWorkers, Query()], service: ServiceDep) -> Listing[WorkerInfo]:
+def list_workers(listed: Annotated[ListedWorkers, Query()], service: ServiceDep) -> Listing[WorkerView]:
     """The workers that have sent a heartbeat lately, by name."""
     page = service.store.list_workers(cursor=listed.cursor, limit=listed.limit)
-    return Listing[WorkerInfo](items=page.workers, next=page.next_cursor)
+    items = [WorkerView.model_validate(worker) for worker in page.workers]
+    return Listing[WorkerView](items=items, next=page.next_cursor)

@@ -6,7 +6,15 @@ from typing import Any
 
 from pydantic import ConfigDict, Field, JsonValue
 
-from gaitway.schema.base import Device, EngineName, ModelContents, ModelStatus, PreviewStatus, View
+from gaitway.schema.base import (
+    Device,
+    EngineName,
+    ModelContents,
+    ModelStatus,
+    PreviewStatus,
+    View,
+    WorkerState,
+)
 
 
 class SliceView(View):
@@ -108,23 +116,24 @@ class PreviewView(View):
 
 
 class WorkerView(View):
-    """A worker's report on itself; the service's own type, `core.jobs.workers.WorkerInfo`, says more.
+    """A worker's report on itself, which it sends at every heartbeat.
 
-    job: the one that it took from the queue. jobs: all that it runs, which may be several trials of a sweep.
-    state: ready, testing or device_failed; problem: what was wrong with its device. memory_bytes: of each of
-    its devices, where known. packages: the optional ones that it has; None where it did not report them.
+    job: the one that it took from the queue. jobs: all whose attempts it runs now. state: a `ready` worker
+    takes jobs or has one; it takes none while it tests its device, or after that has failed a test. problem:
+    a sentence on that failure. memory_bytes: of each of its devices, where known. packages: the optional
+    packages that it has; null if a worker of an older version did not report them.
     """
 
     name: str
     host: str = ""
-    pid: int | None = None
+    pid: int = 0
     device: str = ""
     queues: tuple[str, ...] = ()
     job: str | None = None
     jobs: tuple[str, ...] = ()
-    state: str = "ready"
+    state: WorkerState = "ready"
     problem: str | None = None
     memory_bytes: int | None = None
     packages: tuple[str, ...] | None = None
-    started_at: datetime | None = None
-    seen_at: datetime | None = None
+    started_at: datetime
+    seen_at: datetime

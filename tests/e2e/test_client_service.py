@@ -2,6 +2,7 @@
 
 import json
 import threading
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -342,13 +343,14 @@ def test_who_sends_a_model_is_told_at_once_what_it_waits_for(stack: Stack, tmp_p
         announced(stack)
         told.append(gaitway(stack, "models", "add", str(file)).stderr)
     assert told == ["No worker runs; the model waits until one does.\n", ""]
-    busy = WorkerView(name="gpu-1", job="j1")
+    seen = {"started_at": datetime.now(UTC), "seen_at": datetime.now(UTC)}
+    busy = WorkerView(name="gpu-1", job="j1", **seen)
     assert what_a_model_waits_for([busy]) == (
         "The only worker is busy (gpu-1 with job j1): a worker reads the model after its job, "
         "and after the jobs that wait."
     )
     assert "All 2 workers are busy (gpu-1 with job j1)" in str(what_a_model_waits_for([busy, busy]))
-    assert what_a_model_waits_for([busy, WorkerView(name="gpu-2")]) is None
+    assert what_a_model_waits_for([busy, WorkerView(name="gpu-2", **seen)]) is None
 
 
 def test_a_client_waits_for_its_stills_while_workers_are_busy(
