@@ -23,6 +23,5 @@ class Reason(StrEnum):
     DEVICE_FAILED = "device_failed"
     DEVICE_HELD = "device_held"
     STORAGE_UNAVAILABLE = "storage_unavailable"
-    COHORT_ENDED = "cohort_ended"
     EXPORTED_UNFINISHED = "exported_unfinished"
     TRAINING_CRASHED = "training_crashed"

@@ -25,11 +25,9 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from core.devices import GPUS, gpu_indices, num_cores
+from core.devices import GPUS, num_cores
 from core.variables import PREFIX
 
-# As many as were measured: docs/performance.md.
-_COHORT_ON_GPU = 16
 _REDIS_SCHEMES = ("redis", "rediss", "unix")
 
 
@@ -250,14 +248,6 @@ class WorkerSettings(StoreSettings):
         "compiles, once, so that the first such job starts as fast as the next. `gaitway up` and Docker "
         "Compose say ant where this is not set; empty: none.",
     )
-    cohort: int | None = Field(
-        None,
-        ge=1,
-        le=64,
-        description="The most trials of a sweep, differing only in numbers, that a device trains together; "
-        "1: each trains alone. By default 16 on a GPU and 1 on a CPU, where a resumed run equals an "
-        "uninterrupted one bit for bit only if it trains alone.",
-    )
     models: Confinement = Field(
         "confined",
         description="confined: a user's model is refused where the system cannot confine the process that "
@@ -275,10 +265,6 @@ class WorkerSettings(StoreSettings):
     def prepared(self) -> tuple[str, ...]:
         """The environments that `prepare` names."""
         return tuple(filter(None, map(str.strip, self.prepare.split(","))))
-
-    def cohort_on(self, device: str) -> int:
-        """`cohort`, or its default for this device: `cpu`, or a worker's GPUs."""
-        return self.cohort or (_COHORT_ON_GPU if gpu_indices(device) else 1)
 
     @model_validator(mode="after")
     def _outlives_a_missed_beat(self) -> Self:

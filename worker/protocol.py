@@ -121,8 +121,12 @@ MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)
 
 
 class BestSoFar(Stored):
-    """The policy of a job's best evaluation in the attempts before. path: of its file in the spool."""
+    """The policy of a job's best evaluation in the attempts before. path: of its file in the spool.
 
+    seed: whose policy it is, in a job of several seeds.
+    """
+
+    seed: int | None = None
     path: str
     step: int
     episode_return: float
@@ -133,7 +137,8 @@ class Task(Stored):
 
     device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to resume
     from (training), or to take the policy from (rollout). checkpoint_step: its environment step. policy_of:
-    the algorithm, where it is the file of a policy instead. best: of a training's earlier attempts. model:
+    the algorithm, where it is the file of a policy instead. policy_seed: whose policy to take from a
+    checkpoint of several seeds. best: of a training's earlier attempts, one for each seed. model:
     path of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with
     the reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint,
     which `auto` then takes again. lent_by: the engine that moved the environments in another job's
@@ -147,7 +152,8 @@ class Task(Stored):
     checkpoint: str | None = None
     checkpoint_step: int = 0
     policy_of: str | None = None
-    best: BestSoFar | None = None
+    policy_seed: int | None = None
+    best: tuple[BestSoFar, ...] = ()
     model: str | None = None
     engines_that_cannot: dict[EngineName, str] = {}
     body: BodySize | None = None

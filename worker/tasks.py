@@ -3,8 +3,7 @@
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import partial
 
 import structlog
@@ -13,10 +12,9 @@ from core.adapters.rq.queue import this_worker
 from core.adapters.wiring import job_store, object_store
 from core.configuration import read
 from core.errors import JobUnreadable, Misconfigured, NotFound, Unavailable
-from core.jobs.attempts import Claim, claim_attempt, new_secret
-from core.jobs.cohort import companions
+from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Job
-from core.jobs.needs import kind_of, packages_here
+from core.jobs.needs import packages_here
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery, JobStore
 from core.jobs.waiting import why_left_to_others
@@ -28,19 +26,14 @@ from worker.host.device import device_of
 from worker.host.device_lock import slot_names
 from worker.host.disk import has_room, what_to_do
 from worker.host.drain_flag import Draining
-from worker.host.memory import allowed_bytes
 from worker.host.parent_death import die_with_parent
 from worker.preview.drawing import draw
-from worker.supervision.cohort import Cohort
-from worker.supervision.heartbeat import Heartbeat
 from worker.supervision.spool import SPOOLS, remove_left_over, spool
 from worker.supervision.supervisor import Supervisor
 from worker.validation.confined import validate
 
 log = structlog.get_logger()
 
-# Of the machine's memory, for each trial that trains together with others: its process draws its video.
-_MEMBER_BYTES = 2**30
 # How long a worker that cannot start a job leaves the queue to others.
 _PAUSE_S = 5.0
 
@@ -65,14 +58,16 @@ def run_attempt(job_id: str, attempt: int) -> None:
         return
     store = job_store(settings)
     worker = this_worker() or f"{socket.gethostname()}:{device}"
-    claim_one = partial(
+    take = partial(
         claim_attempt,
+        job_id,
+        attempt,
         worker=worker,
         store=store,
         objects=object_store(settings),
         lease=settings.lease,
+        secret=new_secret(),
     )
-    take = partial(claim_one, job_id, attempt, secret=new_secret())
     try:
         job = retry_while_unavailable(partial(store.get, job_id), called_off=draining.is_set)
         look = partial(_why_left_to_others, job, store)
@@ -88,18 +83,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
         log.info("dispatch_ignored")
         return
     test = device_health.command_for(device)
-    most = min(settings.cohort_on(device), allowed_bytes(settings.memory_limit) // _MEMBER_BYTES)
-    claims = [claim]
-    with ExitStack() as beating:  # Sixteen claims over a slow network take longer than a lease.
-        beating.enter_context(Heartbeat(claim, settings))
-        for found in _companions(job, device, worker, store, claim_one, most - 1, draining.is_set):
-            claims.append(found)
-            beating.enter_context(Heartbeat(found, settings))
-    if len(claims) == 1:
-        Supervisor(claim, settings, device, places, draining=draining, device_test=test).run()
-        return
-    environment = job.spec.environment
-    Cohort(claims, environment, settings, device, places, draining=draining, device_test=test).run()
+    Supervisor(claim, settings, device, places, draining=draining, device_test=test).run()
 
 
 def validate_model(model_id: str) -> None:
@@ -134,39 +118,6 @@ def draw_preview(document: str) -> None:
     data = settings.data_dir.absolute()
     with spool(data / SPOOLS / f"preview-{request.id}.{os.getpid()}") as folder, suppress(NotFound):
         draw(request, object_store(settings), folder, data, models=settings.models)
-
-
-def _companions(  # noqa: PLR0913 # Whose, where, and how they are claimed.
-    job: Job,
-    device: str,
-    worker: str,
-    store: JobStore,
-    claim: Callable[..., Claim | None],
-    at_most: int,
-    called_off: Callable[[], bool],
-) -> Iterator[Claim]:
-    """The jobs that train together with this one, claimed; none where the record is unavailable just now.
-
-    A claim whose answer was lost is repeated, however long that takes: it may hold its job already.
-    """
-    if at_most < 1:
-        return
-    try:
-        workers = store.workers()
-        here = next((one for one in workers if one.name == worker), None)
-        others = companions(job, store, kind_of(device), here, workers, at_most)
-    except Unavailable:
-        return
-    for other in others:
-        take = partial(claim, other.id, other.next_attempt, secret=new_secret())
-        try:
-            found = retry_while_unavailable(take, called_off=called_off)
-        except (NotFound, JobUnreadable):
-            continue
-        except CalledOff:
-            return
-        if found is not None:
-            yield found
 
 
 def _why_left_to_others(job: Job, store: JobStore) -> str | None:

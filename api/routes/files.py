@@ -23,6 +23,7 @@ from core.errors import (
     RecordsUnavailable,
     Rejected,
 )
+from core.jobs.checks import check_seed
 from core.jobs.job import Artifact, ArtifactRole, Job
 from core.jobs.spec import TrainSpec
 from gaitway.schema import ArtifactView
@@ -30,11 +31,18 @@ from gaitway.schema import ArtifactView
 router = APIRouter(tags=["files"])
 
 
+OfSeed = Annotated[
+    int | None,
+    Field(ge=0, le=2**31 - 1, description="Whose, if the job trains several seeds; by default the first."),
+]
+
+
 class Picture(Parameters):
     """Selects a video or poster; by default the newest."""
 
     step: int | None = Field(None, ge=0, le=10**18, description="The one of the checkpoint with this step.")
     camera: str | None = Field(None, max_length=200, description="The one from this camera.")
+    seed: OfSeed = None
 
     def shows(self, artifact: Artifact) -> bool:
         facts = artifact.metadata
@@ -60,6 +68,7 @@ class PolicyFile(Parameters):
         description="For programs elsewhere: `numpy` needs NumPy alone, `onnx` any ONNX runtime. Without it, "
         "the algorithm's own file, which `client.load_policy` reads, and for PPO and SAC Brax.",
     )
+    seed: OfSeed = None
 
 
 def _file_route(path: str, media_type: str) -> Callable[[Callable[..., Response]], Callable[..., Response]]:
@@ -150,14 +159,15 @@ def read_artifact(
 
 
 def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
-    found = [artifact for artifact in job.artifacts if artifact.role == role and asked.shows(artifact)]
+    check_seed(job, asked.seed, "/seed")
+    found = [one for one in job.files_of(asked.seed) if one.role == role and asked.shows(one)]
     if not found and job.spec.video is None:
         detail = f"Job {job.id} asks for no video: its `video` is null."
         raise ArtifactNotFound(detail, job=job.id, job_status=job.status, artifacts=[], reason=job.reason)
     if not found:
         step = "" if asked.step is None else f" of step {asked.step}"
         camera = "" if asked.camera is None else f" by camera {asked.camera!r}"
-        raise absence(job, f"{role}{step}{camera}", role)
+        raise absence(job, f"{role}{step}{camera}{of_seed(job, asked.seed)}", role)
     return last_made(found)
 
 
@@ -174,8 +184,11 @@ def _policy(job: Job, asked: PolicyFile) -> Artifact:
     if not isinstance(job.spec, TrainSpec):
         detail = f"Job {job.id} is a rollout, which trains no policy."
         raise ArtifactNotFound(detail, job=job.id, job_status=job.status, artifacts=[], reason=job.reason)
+    check_seed(job, asked.seed, "/seed")
     stem, role = _POLICIES[asked.which]
-    own, form = job.newest(role), asked.format
+    own, form = job.newest(role, seed=asked.seed), asked.format
+    if job.seeds:
+        stem = f"{stem}-seed-{job.seeds[0] if asked.seed is None else asked.seed}"
     if form is None:
         if own is None:
             raise absence(job, stem, role)
@@ -198,6 +211,11 @@ def _policy(job: Job, asked: PolicyFile) -> Artifact:
     if own is None and not job.status.is_final:
         raise absence(job, f"final {name}", "export")
     return found
+
+
+def of_seed(job: Job, seed: int | None) -> str:
+    """The end of a sentence about a file, where it matters whose it is."""
+    return f" of seed {seed}" if job.seeds and seed is not None else ""
 
 
 def _check_exportable(spec: TrainSpec, form: str) -> None:

@@ -7,9 +7,10 @@ from pydantic import Field
 
 from api.dependencies import JobId, Parameters, ServiceDep
 from api.files import file_response, responses
-from api.routes.files import absence, last_made
+from api.routes.files import OfSeed, absence, last_made, of_seed
 from core.algorithms.catalog import ALGORITHMS
 from core.errors import ArtifactNotFound
+from core.jobs.checks import check_seed
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import TrainSpec
 
@@ -20,6 +21,7 @@ class ReplayQuery(Parameters):
     """Selects a replay; by default the newest."""
 
     step: int | None = Field(None, ge=0, le=10**18, description="The one of the checkpoint with this step.")
+    seed: OfSeed = None
 
 
 @router.head("/jobs/{job_id}/replay", include_in_schema=False, response_class=Response)
@@ -32,7 +34,7 @@ def read_replay(
     job_id: JobId, asked: Annotated[ReplayQuery, Query()], service: ServiceDep, request: Request
 ) -> Response:
     """The poses of bodies in episodes: a header in JSON, then numbers, which `Range` reaches."""
-    return file_response(request, _replay(service.store.get(job_id), asked.step), service)
+    return file_response(request, _replay(service.store.get(job_id), asked), service)
 
 
 @router.head("/jobs/{job_id}/replay/scene", include_in_schema=False, response_class=Response)
@@ -78,10 +80,13 @@ def _no_simulation(job: Job) -> Exception:
     return ArtifactNotFound(detail, job=job.id, job_status=job.status, artifacts=[], reason=job.reason)
 
 
-def _replay(job: Job, step: int | None) -> Artifact:
-    found = [one for one in job.artifacts if one.role == "replay" and step in (None, one.step)]
+def _replay(job: Job, asked: ReplayQuery) -> Artifact:
+    check_seed(job, asked.seed, "/seed")
+    step = asked.step
+    found = [one for one in job.files_of(asked.seed) if one.role == "replay" and step in (None, one.step)]
     if not found:
-        raise _none(job, "replay" if step is None else f"replay of step {step}")
+        at_step = "" if step is None else f" of step {step}"
+        raise _none(job, f"replay{at_step}{of_seed(job, asked.seed)}")
     return last_made(found)
 
 

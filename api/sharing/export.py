@@ -134,7 +134,8 @@ def _model(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:
 def _files(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:
     there = [artifact for artifact in job.artifacts if artifact.role not in _LEFT_OUT]
     chosen = [file for file in there if file.role not in _NEWEST_ALONE]
-    chosen += [newest for role in _NEWEST_ALONE if (newest := job.newest(role))]
+    newest = (job.newest(role, seed=seed) for role in _NEWEST_ALONE for seed in job.seeds or (None,))
+    chosen += {file.name: file for file in newest if file is not None}.values()
     for file in chosen:
         path = f"files/{file.name}"
         try:

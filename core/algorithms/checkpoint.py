@@ -87,13 +87,33 @@ def describe(environment: Environment, settings: BaseSpec) -> dict[str, Any]:
 
 def kind_of(content: bytes) -> str:
     """Which algorithm wrote the checkpoint. Raises JobFailed where that cannot be read."""
+    return _format_name(content)["kind"]
+
+
+def of_seed(content: bytes, seed: int) -> bytes:
+    """The checkpoint of one seed, as its own run would write it, from that of a run of several seeds.
+
+    Raises JobFailed where it is damaged, or has no such seed.
+    """
+    form = Format(_format_name(content)[0])
+    header, state = form.read(content)
+    seeds = header.pop("seeds", None)
+    if seeds is None or seed not in seeds:
+        raise _bad(f"The checkpoint has no seed {seed}; it has {seeds or 'one seed alone'}.")
+    row = seeds.index(seed)
+    return form.pack(
+        header, header.pop("progress"), jax.tree.map(lambda x: np.asarray(x[row]), state["runs"])
+    )
+
+
+def _format_name(content: bytes) -> re.Match[str]:
     try:
         found = _FORMAT_NAME.fullmatch(_decode(content)["header"]["format"])
     except Exception as error:  # damaged bytes may make a decoder raise anything
         raise _bad(_CANNOT_BE_READ) from error
     if found is None:
         raise _bad(_CANNOT_BE_READ)
-    return found["kind"]
+    return found
 
 
 def _differences(saved: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:

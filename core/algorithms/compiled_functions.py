@@ -7,7 +7,6 @@ from typing import Any, Generic, cast
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.epoch import updates_until
@@ -26,7 +25,7 @@ class CompiledFunctions(Generic[S]):
     """
 
     init: Callable[[Any], S]
-    epoch: Callable[[S, Any, np.int32], tuple[S, Any, Failure]]
+    epoch: Callable[[S, Any, Any], tuple[S, Any, Failure]]
     evaluate: Callable[[Any, jax.Array, jax.Array], EpisodeTotals]
 
 
@@ -64,20 +63,18 @@ def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
     return compile_all
 
 
-def trace_cohort(
-    algorithm: Algorithm[S], seeds: Any, hyperparameters: Any
-) -> Callable[[], CompiledFunctions[S]]:
-    """Like `trace`, for several runs at once: every array but `until` has the runs as its first axis.
+def trace_seeds(algorithm: Algorithm[S], seeds: Any) -> Callable[[], CompiledFunctions[S]]:
+    """Like `trace`, for one run of each seed: every array but the hyperparameters has the seeds as its first
+    axis, also `until` of an epoch.
 
-    algorithm: any of them, for one device. seeds, hyperparameters: of all runs, stacked.
+    algorithm: for one device. seeds: the arguments of `init`, stacked.
     """
-    epoch = jax.vmap(_epoch(algorithm), (0, 0, None))
-    count = jax.ShapeDtypeStruct((), jnp.int32)
+    epoch = jax.vmap(_epoch(algorithm), (0, None, 0))
     init, evaluate = jax.vmap(algorithm.init), jax.vmap(algorithm.evaluate)
     state = jax.eval_shape(init, seeds)
     lowered = (
         jax.jit(init).lower(seeds),
-        jax.jit(epoch, donate_argnums=0).lower(state, hyperparameters, count),
+        jax.jit(epoch, donate_argnums=0).lower(state, algorithm.hyperparameters, state.num_updates),
         jax.jit(evaluate).lower(algorithm.evaluated(state), state.eval_key, state.num_updates),
     )
     return lambda: CompiledFunctions(*compiled_side_by_side(lowered, compiler_options()))

@@ -1,7 +1,18 @@
-"""The events that a run yields to its caller: see `core.algorithms.run.Run`."""
+"""The events that a run yields to its caller: see `core.algorithms.run.Run`, and `SeedsRun` for the last."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+
+def metric_of_seed(seed: int, name: str) -> str:
+    """The name of one seed's own value of a metric, in a run of several seeds."""
+    return f"seed_{seed}/{name}"
+
+
+def is_of_a_seed(name: str) -> bool:
+    """Whether `metric_of_seed` gave this name."""
+    return re.match(r"seed_\d+/", name) is not None
 
 
 @dataclass(frozen=True)
@@ -43,4 +54,17 @@ class CheckpointReady:
     step: int
 
 
-Event = Phase | Progress | Evaluating | Evaluated | CheckpointReady
+@dataclass(frozen=True)
+class SeedDiverged:
+    """The values of one of several seeds became non-finite at `step`; the others continue.
+
+    quantity: the first that was not finite. detail: a sentence, with the step of the last good state.
+    """
+
+    seed: int
+    step: int
+    quantity: str
+    detail: str
+
+
+Event = Phase | Progress | Evaluating | Evaluated | CheckpointReady | SeedDiverged

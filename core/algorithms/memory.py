@@ -5,7 +5,7 @@ fail later, and too high an estimate would refuse a run that fits.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 FLOAT_BYTES = 4
@@ -36,6 +36,16 @@ class Memory:
     def lower(self) -> tuple[str, ...]:
         """The settings that make the largest part smaller."""
         return max(self.parts, key=lambda part: part.bytes).lower
+
+    def of_seeds(self, num_seeds: int) -> "Memory":
+        """The memory of as many such runs side by side."""
+        if num_seeds == 1:
+            return self
+        fewer = "the number of seeds"
+        parts = [
+            replace(part, bytes=num_seeds * part.bytes, lower=(*part.lower, fewer)) for part in self.parts
+        ]
+        return Memory(parts)
 
     def does_not_fit(self, limit_bytes: int, where: str) -> str:
         """The error message. where: what has this limit."""

@@ -128,7 +128,8 @@ class Run(Generic[S]):
     def _restore(self, content: bytes) -> None:
         algorithm = self._algorithm
         template = jax.eval_shape(algorithm.init, algorithm.seed)
-        progress, state = algorithm.format.unpack(content, algorithm.description, template)
+        description = {**algorithm.description, "seeds": None}  # Those of a job of several seeds do not fit.
+        progress, state = algorithm.format.unpack(content, description, template)
         self._state = place(algorithm, state)
         self._loop.resume(progress)
 

@@ -14,8 +14,9 @@ class BaseSpec(Strict):
 
     fixed_by_checkpoint: names of the values that a resumed run must share with its checkpoint; all others
     may change. checkpoint_holds_envs: whether a resumed run continues in the environments that it left.
-    arguments: names of the numbers that are arguments of the compiled programs, so that runs that differ only
-    in these and in their seeds can be trained together (`core.algorithms.cohort`); none: they cannot.
+    arguments: names of the numbers that are arguments of the compiled programs, which another value does not
+    change. why_no_seeds: why a job cannot train several seeds (`core.algorithms.seeds`), as the end of a
+    sentence; None where it can.
     trains_in_parts: whether a run that ends and is resumed with a greater `num_timesteps` becomes the run
     that had the greater one from the beginning: nothing in it depends on its length.
     """
@@ -23,6 +24,7 @@ class BaseSpec(Strict):
     fixed_by_checkpoint: ClassVar[tuple[str, ...]] = ()
     checkpoint_holds_envs: ClassVar[bool] = False
     arguments: ClassVar[tuple[str, ...]] = ()
+    why_no_seeds: ClassVar[str | None] = "it trains one at a time"
     trains_in_parts: ClassVar[bool] = False
 
     @classmethod
@@ -51,6 +53,12 @@ class BaseSpec(Strict):
         if num_devices > 1:
             detail = f"{self.algorithm()} runs on one device, but the job asks for {num_devices} GPUs."
             raise Rejected(detail, [Problem("/resources/gpus", detail)])
+
+    def check_seeds(self) -> None:
+        """Raises Rejected where a job cannot train several seeds."""
+        if self.why_no_seeds is not None:
+            detail = f"{self.algorithm()} takes no `seeds`: {self.why_no_seeds}."
+            raise Rejected(detail, [Problem("/seeds", detail)])
 
 
 def check_resumption(wanted: BaseSpec, made_with: BaseSpec) -> None:

@@ -132,9 +132,11 @@ def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> 
     }
     for settings in resolved.values():
         settings.check_sharing(spec.resources.gpus)
+    _check_seeds(spec)
     _check_memory(spec, info, store)
     if (source := spec.source) is not None:
         checkpoint = source_artifact(spec, source, store.get)
+        _check_same_seeds(spec, store.get(source.job))
         _check_budget(resolved.values(), checkpoint)
         _check_fields(spec, store.get(source.job))
         _check_engine(spec, store.get(source.job))
@@ -158,7 +160,26 @@ def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> No
     device, size = max(sizes, key=lambda found: found[1])
     detail = needs[device].does_not_fit(size, f"the largest {device.upper()} of a worker")
     places = [name.replace(".", "/") for name in needs[device].lower if " " not in name]
-    raise Rejected(detail, [Problem(f"/algorithm/{place}", detail) for place in places])
+    problems = [Problem(f"/algorithm/{place}", detail) for place in places]
+    raise Rejected(detail, [*problems, *([Problem("/seeds", detail)] if spec.seeds else [])])
+
+
+def _check_seeds(spec: TrainSpec) -> None:
+    if spec.seeds is None:
+        return
+    spec.algorithm.check_seeds()
+    if (gpus := spec.resources.gpus) > 1:
+        detail = f"Several seeds are trained on one device, but the job asks for {gpus} GPUs."
+        raise Rejected(detail, [Problem("/seeds", detail), Problem("/resources/gpus", detail)])
+
+
+def _check_same_seeds(spec: TrainSpec, source: Job) -> None:
+    """A checkpoint holds all of a job's seeds, and nothing else can continue from it."""
+    if source.seeds != tuple(spec.seeds or ()):
+        had = f"the seeds {list(source.seeds)}" if source.seeds else "a single seed"
+        asked = f"the seeds {spec.seeds}" if spec.seeds else "a single seed"
+        detail = f"The checkpoint is of {had}, and this job trains {asked}: they must be the same."
+        raise Rejected(detail, [Problem("/seeds", detail), Problem("/resume_from", detail)])
 
 
 def _check_budget(resolved: Collection[BaseSpec], checkpoint: Artifact) -> None:
@@ -251,14 +272,25 @@ def source_artifact(spec: JobSpec, wanted: Source, get: Callable[[str], Job]) ->
         if isinstance(spec, RolloutSpec):
             detail += " Leave `environment` out to take that of the job."
         raise Rejected(detail, [Problem(place, detail), Problem(f"{pointer}/job", detail)])
-    return _best_policy(source, pointer) if wanted.is_best else _checkpoint(source, wanted.step, pointer)
+    check_seed(source, wanted.seed, f"{pointer}/seed")
+    return _best_policy(source, wanted) if wanted.is_best else _checkpoint(source, wanted.step, pointer)
 
 
-def _best_policy(source: Job, pointer: str) -> Artifact:
-    best = source.newest("best_policy")
+def check_seed(job: Job, seed: int | None, pointer: str) -> None:
+    """Raises Rejected where the job has no such seed. pointer: to the seed in the request."""
+    has = job.seeds or (job.spec.seed,)
+    if seed is not None and seed not in has:
+        detail = f"Job {job.id} has no seed {seed}; it has {', '.join(map(str, has))}."
+        raise Rejected(detail, [Problem(pointer, detail)])
+
+
+def _best_policy(source: Job, wanted: Source) -> Artifact:
+    pointer, best = wanted.pointer, source.newest("best_policy", seed=wanted.seed)
     if best is None:
+        of_seed = f" of seed {wanted.seed}" if source.seeds and wanted.seed is not None else ""
         detail = (
-            f"Job {source.id} ({source.status}) has no best policy: either it has not been evaluated yet, "
+            f"Job {source.id} ({source.status}) has no best policy{of_seed}: either it has not been "
+            "evaluated yet, "
             "or a version that kept none has trained it."
         )
         raise Rejected(detail, [Problem(f"{pointer}/which", detail)])

@@ -31,6 +31,7 @@ def filled_in(job: Job, store: ModelStore) -> dict[str, Any]:
         document["environment"]["options"] = dict(spec.environment.options)
     if isinstance(spec, TrainSpec):
         document["algorithm"] = _hyperparameters(job, spec, info)
+        del document["seeds" if spec.seeds is None else "seed"]  # The two exclude each other.
     if spec.video is not None and spec.video.cameras is not None:
         del document["video"]["camera"]  # The two exclude each other.
     return document

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from core.documents import Stored
 from core.errors import IllegalTransition, JobNotFound
-from core.jobs.spec import Accelerator, SentSpec
+from core.jobs.spec import Accelerator, SentSpec, TrainSpec
 from core.jobs.status import LOSSES, NEXT, JobStatus
 from core.reasons import Reason
 
@@ -260,9 +260,21 @@ class Job(Stored):
         kept = tuple(a for a in self.artifacts if a.role != "checkpoint" or (a.step or 0) in wanted)
         return self.model_copy(update={"artifacts": kept})
 
-    def newest(self, role: ArtifactRole, step: int | None = None) -> Artifact | None:
-        """The artifact of this role with the highest step, or of exactly this step."""
-        found = [a for a in self.artifacts if a.role == role and step in (None, a.step)]
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds that it trains side by side; empty for one that trains a single seed, or none."""
+        return tuple(self.spec.seeds or ()) if isinstance(self.spec, TrainSpec) else ()
+
+    def files_of(self, seed: int | None) -> list[Artifact]:
+        """The files that belong to a seed, by default the first, and those that all seeds share."""
+        if not self.seeds:
+            return list(self.artifacts)
+        wanted = self.seeds[0] if seed is None else seed
+        return [a for a in self.artifacts if a.metadata.get("seed") in (None, wanted)]
+
+    def newest(self, role: ArtifactRole, step: int | None = None, seed: int | None = None) -> Artifact | None:
+        """The artifact of this role with the highest step, or of exactly this step; seed: as `files_of`."""
+        found = [a for a in self.files_of(seed) if a.role == role and step in (None, a.step)]
         return max(found, key=lambda a: -1 if a.step is None else a.step, default=None)
 
     def _closed(self, reason: Reason, message: str, now: datetime) -> tuple[Attempt, ...]:

@@ -66,9 +66,9 @@ def memory_for(spec: JobSpec) -> Mapping[Device, Memory]:
 
 def least_memory(spec: TrainSpec, info: EnvironmentInfo) -> Mapping[Device, Memory]:
     """Like `memory_for`, given the environment's row. Raises Rejected."""
-    gpus = spec.resources.gpus
+    gpus, num_seeds = spec.resources.gpus, len(spec.seeds or [spec.seed])
     return {
-        device: algorithms.least_memory(resolve(spec.algorithm, info, device), info, gpus)
+        device: algorithms.least_memory(resolve(spec.algorithm, info, device), info, gpus).of_seeds(num_seeds)
         for device in DEVICES[spec.resources.kind]
     }
 

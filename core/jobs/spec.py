@@ -23,6 +23,19 @@ from core.rendering.overlays import Overlay
 
 JobId = Annotated[str, Field(pattern=r"^[0-9a-f]{12}-[0-9a-f]{10}$", examples=["019aa3c2f0b1-5be0c1d2e3"])]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
+# The most seeds of one training: as many ants as an H100 was measured with.
+MOST_SEEDS = 16
+
+
+def _different(seeds: list[int]) -> list[int]:
+    if len(set(seeds)) < len(seeds):
+        raise ValueError("each seed must be there once")
+    return seeds
+
+
+Seeds = Annotated[
+    list[Seed], Field(min_length=2, max_length=MOST_SEEDS, examples=[[0, 1, 2]]), AfterValidator(_different)
+]
 
 
 def _without_null(value: str) -> str:
@@ -217,7 +230,7 @@ class _Common(Strict):
         default=86_400.0,
         gt=0,
         le=30 * 86_400,
-        description="Seconds an attempt may take; times their number where trials of a sweep train together.",
+        description="Seconds an attempt may take.",
     )
     max_attempts: int = Field(default=3, ge=1, le=100, description="Attempts allowed when workers are lost.")
 
@@ -226,23 +239,40 @@ class _Common(Strict):
 class Source:
     """A checkpoint of another job, step None: its newest; or the policy of its best evaluation.
 
-    pointer: its place in the document.
+    pointer: its place in the document. seed: whose policy is wanted, of a job of several seeds.
     """
 
     job: str
     step: int | None
     pointer: str
     is_best: bool = False
+    seed: int | None = None
 
 
 class TrainSpec(_Common):
     """Train a policy; keep checkpoints, metrics and a video."""
 
     kind: Literal["train"] = "train"
+    seeds: Seeds | None = Field(
+        default=None,
+        description="In place of `seed`: a policy for each, trained side by side in one program. Each has "
+        "metrics (`seed_<n>/…`), policies and videos (`…-seed-<n>`) of its own; a metric's plain name is the "
+        "mean over the seeds. Steps count those of each seed.",
+    )
     algorithm: AlgorithmSpec = cast("AlgorithmSpec", ALGORITHMS[DEFAULT_ALGORITHM].spec())
     checkpoints: CheckpointsSpec = CheckpointsSpec()
     resume_from: ResumePoint | None = None
     tracking: TrackingSpec = TrackingSpec()
+
+    @model_validator(mode="after")
+    def _one_way_to_say_the_seed(self) -> Self:
+        if self.seeds is not None and "seed" in self.model_fields_set:
+            raise ValueError("`seed` and `seeds` exclude each other; give one of them")
+        return self
+
+    def of_seed(self, seed: int) -> Self:
+        """The training of one of its seeds alone."""
+        return self.model_copy(update={"seed": seed, "seeds": None})
 
     @property
     def source(self) -> Source | None:
@@ -260,6 +290,9 @@ class CheckpointPolicy(Strict):
     which: Literal["last", "best"] = Field(
         default="last",
         description="`best`: the policy whose evaluation had the highest return, in place of a checkpoint's.",
+    )
+    seed: Seed | None = Field(
+        default=None, description="Whose policy, if the job trained several seeds; by default the first."
     )
 
     @model_validator(mode="after")
@@ -319,7 +352,8 @@ class RolloutSpec(_Common):
         policy = self.policy
         if not isinstance(policy, CheckpointPolicy):
             return None
-        return Source(policy.job, policy.step, "/policy", is_best=policy.which == "best")
+        is_best = policy.which == "best"
+        return Source(policy.job, policy.step, "/policy", is_best=is_best, seed=policy.seed)
 
 
 JobSpec = Annotated[TrainSpec | RolloutSpec, Field(discriminator="kind")]

@@ -48,8 +48,8 @@ NEXT: dict[JobStatus, frozenset[JobStatus]] = {
 
 
 # Reasons after which another attempt may follow, and which count against a job's `max_attempts`. A drained
-# worker, a bad or held card or the end of a cohort does not count, because it is not the job's fault. A full
-# disk, or a store that stays unavailable, may be a problem of this machine only.
+# worker or a bad or held card does not count, because it is not the job's fault. A full disk, or a store that
+# stays unavailable, may be a problem of this machine only.
 LOSSES = frozenset(
     {
         Reason.WORKER_LOST,
@@ -62,5 +62,5 @@ LOSSES = frozenset(
 )
 # Reasons that may be the fault of a machine or a card, but count as the job's own after this many attempts.
 MAX_ATTEMPTS: dict[Reason, int] = {Reason.OUT_OF_HOST_MEMORY: 2, Reason.DEVICE_FAILED: 3}
-# A training that reports one of these may succeed elsewhere, or alone: only a first attempt is in a cohort.
-RETRIED = LOSSES | MAX_ATTEMPTS.keys() | {Reason.COHORT_ENDED, Reason.DEVICE_HELD}
+# A training that reports one of these may succeed elsewhere.
+RETRIED = LOSSES | MAX_ATTEMPTS.keys() | {Reason.DEVICE_HELD}

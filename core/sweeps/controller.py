@@ -24,7 +24,6 @@ from core.errors import (
 )
 from core.jobs import submission
 from core.jobs.cancellation import cancel
-from core.jobs.cohort import SWEEP
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
 from core.jobs.spec import JobSpec, TrainSpec
@@ -215,7 +214,7 @@ class SweepController:
 
 def labels_of(sweep: Sweep, number: int, own: Mapping[str, str]) -> dict[str, str]:
     """The labels of a trial's job: its own, the sweep's, and which trial of which sweep it is."""
-    return {**own, **sweep.spec.labels, SWEEP: sweep.id, "trial": str(number)}
+    return {**own, **sweep.spec.labels, "sweep": sweep.id, "trial": str(number)}
 
 
 def _sentence(error: ValidationError | Rejected) -> str:

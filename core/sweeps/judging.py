@@ -47,9 +47,7 @@ def judged(
 
 
 def _gpu_hours(attempt: Attempt, gpus: int, now: datetime) -> float:
-    """Hours of the GPUs that the attempt held, or its share of one on which it trained together with others;
-    0 on a CPU, or before it has reported its device."""
+    """Hours of the GPUs that the attempt held; 0 on a CPU, or before it has reported its device."""
     if attempt.device is None or attempt.device.startswith("cpu"):
         return 0.0
-    share = gpus / attempt.details.get("trained_together", 1)
-    return share * ((attempt.ended_at or now) - attempt.started_at).total_seconds() / 3600
+    return gpus * ((attempt.ended_at or now) - attempt.started_at).total_seconds() / 3600

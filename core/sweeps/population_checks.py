@@ -49,6 +49,8 @@ def _of_sweep(spec: SweepSpec) -> Iterator[Problem]:
     if job.resume_from is not None:
         detail = "With `pbt`, a trial resumes from its parent; leave `resume_from` out."
         yield Problem("/job/resume_from", detail)
+    if job.seeds is not None:
+        yield Problem("/job/seeds", "With `pbt`, each member has a seed of its own; leave `seeds` out.")
     if not job.algorithm.trains_in_parts:
         able = " or ".join(f"`{name}`" for name, row in ALGORITHMS.items() if row.spec.trains_in_parts)
         detail = (

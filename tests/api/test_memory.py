@@ -44,6 +44,17 @@ def test_it_is_told_what_it_needs_what_there_is_and_what_to_lower(stack: Stack) 
     assert stack.is_empty()
 
 
+def test_each_of_several_seeds_needs_as_much(stack: Stack) -> None:
+    announce(stack, "cpu", 46)
+    assert stack.http.post("/jobs", json=_LARGE | {"seeds": [0, 1, 2]}).status_code == 202
+    document = problem(
+        stack.http.post("/jobs", json=_LARGE | {"seeds": [0, 1, 2, 3]}), 422, "invalid-request"
+    )
+    assert "needs at least 60.9 GiB of memory" in document["detail"]
+    assert "unroll_length or the number of seeds" in document["detail"]
+    assert pointers(document)[-1] == "/seeds"
+
+
 @pytest.mark.parametrize(
     ("workers", "wanted"),
     [

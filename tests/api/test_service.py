@@ -173,10 +173,10 @@ def test_workers_are_listed_while_they_are_heard_of(stack: Stack) -> None:
 
 
 def test_a_worker_has_all_jobs_whose_attempts_run_there(stack: Stack) -> None:
-    """Of four that it took together, one has ended and one is queued again; another worker has a fifth."""
+    """One of its four has ended and one is queued again; another worker has a fifth."""
     first, second, third, fourth = (Attempt(stack, job(f"{number:012x}-0000000000")) for number in range(4))
     second.end()
-    third.claim.give_back(Reason.COHORT_ENDED, "It ended.")
+    third.claim.give_back(Reason.DEVICE_HELD, "It is held.")
     Attempt(stack, job("000000000004-0000000000"), worker="worker-2")
     for name in ("worker-1", "worker-2", "worker-3"):
         worker = WorkerInfo(name=name, host="h", pid=1, device="cpu", started_at=NOON, seen_at=NOON)

@@ -184,17 +184,6 @@ def test_a_duration_is_seconds_or_iso_8601(value: str, seconds: float, environ: 
     assert read(ReconcilerSettings).reconcile_every.total_seconds() == seconds
 
 
-@pytest.mark.parametrize(
-    ("value", "on_cpu", "on_gpu"), [("", 1, 16), ("1", 1, 1), ("4", 4, 4)], ids=["default", "alone", "four"]
-)
-def test_trials_train_together_on_a_gpu_unless_told_otherwise(
-    value: str, on_cpu: int, on_gpu: int, environ: pytest.MonkeyPatch
-) -> None:
-    environ.setenv("GAITWAY_COHORT", value)
-    settings = read(WorkerSettings)
-    assert (settings.cohort_on("cpu"), settings.cohort_on("gpu:0")) == (on_cpu, on_gpu)
-
-
 def test_a_file_holds_a_setting_and_a_variable_wins(environ: pytest.MonkeyPatch, tmp_path: Path) -> None:
     environ.delenv("GAITWAY_S3_SECRET_KEY")
     (tmp_path / "gaitway_s3_secret_key").write_text("from a file\n")

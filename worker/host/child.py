@@ -121,11 +121,10 @@ class TrainingProcess:
 
     command: the program; it is given the spool and the descriptor to write messages to. spool, data_dir:
     absolute, for it starts in the spool. slot_fds: of the device's locks, which it holds to its end. models:
-    whether it confines itself when it loads a user's model (worker/confinement/own_files.py). cohort_fd: of
-    its connection to the process that trains it, which it inherits.
+    whether it confines itself when it loads a user's model (worker/confinement/own_files.py).
     """
 
-    def __init__(  # noqa: PLR0913 # What it is given, each from another hand.
+    def __init__(  # What it is given, each from another hand.
         self,
         command: Sequence[str],
         spool: Path,
@@ -133,18 +132,16 @@ class TrainingProcess:
         device: str,
         slot_fds: Sequence[int],
         models: "Confinement" = "confined",
-        cohort_fd: int | None = None,
     ) -> None:
-        cohort = () if cohort_fd is None else (cohort_fd,)
         read_end, write_end = os.pipe()
         self._messages: IO[bytes] = os.fdopen(read_end, "rb")
         self._child = launch(
-            [*command, str(spool), *map(str, (write_end, *cohort))],
+            [*command, str(spool), str(write_end)],
             {**environment(device, data_dir, os.environ), variable("models"): models},
             stdout=subprocess.PIPE,
             # MuJoCo writes its log to the working directory, and ours may be read-only.
             cwd=spool,
-            fds=(write_end, *slot_fds, *cohort),
+            fds=(write_end, *slot_fds),
         )
         sacrifice(self._child.pid)
         os.close(write_end)

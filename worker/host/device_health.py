@@ -25,9 +25,7 @@ from worker.host.device_lock import SlotTaken, slots
 log = structlog.get_logger()
 
 # After an attempt that ended for one of these reasons, the device is tested before it is used again.
-SUSPICIOUS = frozenset(
-    {Reason.NATIVE_CRASH, Reason.DEVICE_FAILED, Reason.TRAINING_STALLED, Reason.COHORT_ENDED}
-)
+SUSPICIOUS = frozenset({Reason.NATIVE_CRASH, Reason.DEVICE_FAILED, Reason.TRAINING_STALLED})
 # JAX and CUDA take some 10 s to start on a machine that has just been started.
 _TEST_S = 60.0
 _POLL_S = 0.1

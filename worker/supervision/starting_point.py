@@ -10,7 +10,7 @@ from core.jobs.attempts import Claim
 from core.jobs.checks import source_artifact
 from core.jobs.job import Artifact, Attempt, Job
 from core.jobs.own_model import engines_that_cannot, model_of
-from core.jobs.spec import TrainSpec
+from core.jobs.spec import RolloutSpec, TrainSpec
 from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.storage import keys
@@ -38,7 +38,8 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
         task = _as_lent(task, claim)
     if checkpoint is not None:
         task = task.model_copy(update={"checkpoint": _FILE, "checkpoint_step": checkpoint.step or 0})
-    task = task.model_copy(update={"best": _best_so_far(job, claim, spool, notes)})
+    best = (_best_so_far(job, seed, claim, spool, notes) for seed in job.seeds or (None,))
+    task = task.model_copy(update={"best": tuple(filter(None, best))})
     task = _with_model(task, claim, spool)
     (spool / "task.json").write_text(task.model_dump_json())
     return notes
@@ -80,16 +81,17 @@ def _lent_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> A
     raise JobFailed(Reason.BAD_CHECKPOINT, " ".join(damages))
 
 
-def _best_so_far(job: Job, claim: Claim, spool: Path, notes: list[str]) -> BestSoFar | None:
+def _best_so_far(job: Job, seed: int | None, claim: Claim, spool: Path, notes: list[str]) -> BestSoFar | None:
     """The policy of the best evaluation in earlier attempts. A damaged one is struck from the record."""
-    kept = job.newest("best_policy")
+    kept = job.newest("best_policy", seed=seed)
     if kept is None:
         return None
     # A process that was taken over may have named anything.
     if not isinstance(found := kept.metadata.get("return"), int | float):
         return None
-    if (damage := _fetch(kept, claim.objects, spool / _BEST)) is None:
-        return BestSoFar(path=_BEST, step=kept.step or 0, episode_return=found)
+    path = _BEST if seed is None else f"{_BEST}-{seed}"
+    if (damage := _fetch(kept, claim.objects, spool / path)) is None:
+        return BestSoFar(seed=seed, path=path, step=kept.step or 0, episode_return=found)
     notes.append(f"{damage} The best evaluation from now on takes its place.")
     claim.strike(kept)
     return None
@@ -127,6 +129,9 @@ def _as_lent(task: Task, claim: Claim) -> Task:
     lender = claim.store.get(source.job)
     if source.is_best and isinstance(lender.spec, TrainSpec):
         return task.model_copy(update={"policy_of": lender.spec.algorithm.algorithm()})
+    if isinstance(spec, RolloutSpec) and lender.seeds:
+        seed = lender.seeds[0] if source.seed is None else source.seed
+        return task.model_copy(update={"policy_seed": seed})
     if isinstance(spec, TrainSpec) and spec.algorithm.checkpoint_holds_envs:
         return task.model_copy(update={"lent_by": _choice(lender.engine)})
     return task

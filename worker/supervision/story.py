@@ -59,8 +59,9 @@ class Story:
             case Measured(step=step, values=values) if any(name.startswith("eval/") for name in values):
                 yield from timed(f"Step {step:,}: {_evaluated(values)}")
             case FileReady(role="best_policy", step=step, metadata=facts):
+                of_seed = f" of seed {facts['seed']}" if "seed" in facts else ""
                 yield from timed(
-                    f"Step {step or 0:,}: the best evaluation so far, with a return of "
+                    f"Step {step or 0:,}: the best evaluation{of_seed} so far, with a return of "
                     f"{_value(facts.get('return'))}; its policy is kept"
                 )
             case FileReady(role="checkpoint" | "video"):
@@ -93,8 +94,6 @@ class Story:
             filled = {name: value for name, value in used.items() if name not in sent}
             yield from timed(f"Settings that the job names: {_settings(sent)}")
             yield from timed(f"Settings that were filled in: {_settings(filled)}")
-        if number := facts.get("trained_together"):
-            yield from timed(f"It trains together with {number - 1} other trials of its sweep.")
         if step := facts.get("resumed_at_step"):
             yield from timed(f"The run resumes from the checkpoint of step {step:,}")
 
@@ -126,7 +125,8 @@ def timed(text: str) -> Iterator[str]:
 def _asked(job: Job) -> str:
     spec = job.spec
     options = f" with {_settings(spec.environment.options)}" if spec.environment.options else ""
-    about = f"{spec.kind} {spec.environment.id}{options}, seed {spec.seed}"
+    seeds = f"seeds {', '.join(map(str, job.seeds))}" if job.seeds else f"seed {spec.seed}"
+    about = f"{spec.kind} {spec.environment.id}{options}, {seeds}"
     match spec:
         case RolloutSpec(policy=CheckpointPolicy(job=of, which="best")):
             return f"{about}, {spec.num_episodes} episodes of the policy of the best evaluation of job {of}"

@@ -3,8 +3,8 @@
 import secrets
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -45,7 +45,6 @@ from worker.supervision.log_limit import LogLimit
 from worker.supervision.measurements import store_metrics
 from worker.supervision.outbox import Outbox
 from worker.supervision.outcome import Outcome, judge
-from worker.supervision.seat import Seat
 from worker.supervision.spool import SPOOLS, private, spool
 from worker.supervision.stall import StallWatch
 from worker.supervision.starting_point import write_task
@@ -70,7 +69,6 @@ class Supervisor:
 
     draining: set, also by a signal handler, once the worker must shut down; the job then keeps a checkpoint
     and is given back. device_test: the program that tests the device after a failure that it may have caused.
-    seat: its place in the cohort that trains it; that holds the device's locks.
     Afterwards the job has ended or is back in the queue, and no process and no spool is left.
     """
 
@@ -81,7 +79,6 @@ class Supervisor:
     command: Sequence[str] = TRAINING
     draining: Draining = field(default_factory=Draining)
     device_test: Sequence[str] | None = None
-    seat: Seat | None = None
     _is_told: bool = field(default=False, init=False)
 
     def run(self) -> None:
@@ -131,7 +128,8 @@ class Supervisor:
             _STORAGE_TIMEOUT_S,
             called_off=leaving,
         )
-        with self._place(folder) as (slot_fds, cohort_fd):
+        locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
+        with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
             caches.open(job.spec.environment, leaving)
             outbox = Outbox(self.claim, spool, _checkpoints_kept(job), job.progress, story)
             outbox.put_all(story.begin())
@@ -141,16 +139,13 @@ class Supervisor:
             tracking = Tracking(job, self.claim, spool, self.settings, outbox)
             tracking.begin()
             models = self.settings.models
-            on = self.device if cohort_fd is None else "cpu"  # The cohort's process has the device.
-            process = TrainingProcess(self.command, spool, folder, on, slot_fds, models, cohort_fd)
-            if self.seat is not None:
-                self.seat.leave()  # The process has it now: its end is the connection's end.
+            process = TrainingProcess(self.command, spool, folder, self.device, slot_fds, models)
             try:
                 readers = OutputReaders(process, outbox, caches, tracking, StallWatch(self.settings.stall))
                 memory_bytes = allowed_bytes(self.settings.memory_limit)
                 with memory_group(process.pid, memory_bytes) as group:
                     memory = MemoryWatch(memory_bytes, group=group)
-                    outcome = self._watch(process, readers, heartbeat, memory, self._timeout_s(job))
+                    outcome = self._watch(process, readers, heartbeat, memory, job.spec.timeout_s)
             except BaseException:
                 tracking.abandon()
                 outbox.abandon()
@@ -176,17 +171,6 @@ class Supervisor:
         except OSError as error:  # A finished job does not fail for it.
             log.warning("metrics_not_kept", job_id=self.claim.job_id, error=str(error))
         return outcome
-
-    @contextmanager
-    def _place(self, folder: Path) -> Generator[tuple[tuple[int, ...], int | None]]:
-        """The descriptors that the training process inherits: of the device's locks, and of its cohort."""
-        if self.seat is not None:
-            with self.seat.taken() as cohort_fd:
-                yield (), cohort_fd
-            return
-        locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
-        with slots(locks, self.settings.grace.total_seconds(), self.draining.is_set) as slot_fds:
-            yield slot_fds, None
 
     def _watch(
         self,
@@ -252,10 +236,6 @@ class Supervisor:
         except ObjectNotFound as error:  # The feed has lost a part.
             log.warning("metrics_not_kept", job_id=self.claim.job_id, error=str(error))
             return False
-
-    def _timeout_s(self, job: Job) -> float:
-        """The members of a cohort share its device, so each may take as much longer."""
-        return job.spec.timeout_s * (1 if self.seat is None else self.seat.num_members)
 
     def _wanted(self, heartbeat: Heartbeat, deadline: float) -> Stop | None:
         if heartbeat.cancelled.is_set():

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, Any, cast
 
 import structlog
 
@@ -140,23 +140,24 @@ class Tracking:
             (artifact for artifact in job.artifacts if artifact.role == "video"),
             key=lambda artifact: artifact.step or 0,
         )
-        policy = job.newest("policy")
+        policies = [artifact for artifact in job.artifacts if artifact.role == "policy"]
         return task.model_copy(
             update={
                 "about": about.model_copy(update={"config": config}),
                 "archive": about.folder / ARCHIVE,
-                "films": [VideoFile(step=it.step or 0, path=self._fetch(it, kept)) for it in videos],
-                "policy": policy and PolicyFile(step=policy.step or 0, path=self._fetch(policy, kept)),
+                "films": [VideoFile(**self._fetch(it, kept)) for it in videos],
+                "policies": [PolicyFile(**self._fetch(it, kept)) for it in policies],
                 "exit_code": exit_code,
             }
         )
 
-    def _fetch(self, artifact: Artifact, folder: Path) -> Path:
-        """Bring a stored file into the folder; returns its path there."""
+    def _fetch(self, artifact: Artifact, folder: Path) -> dict[str, Any]:
+        """Bring a stored file into the folder; returns its path there, its step, and its seed of several."""
         path = folder / artifact.name
         with self.claim.objects.open(artifact.key) as pieces, path.open("wb") as file:
             file.writelines(pieces)
-        return path
+        seed = artifact.metadata.get("seed")
+        return {"path": path, "step": artifact.step or 0, "seed": seed if seed in self.job.seeds else None}
 
     def _keep(self, notes: list[str], keep_checkpoints: int, called_off: Callable[[], bool]) -> None:
         """Store what was written, through a short outage if need be."""

@@ -98,8 +98,8 @@ def write_archive(task: WriteUp, about: About, path: Path) -> None:
         log_item(run, Row.model_validate_json(line))
     for film in task.films:
         log_item(run, film)
-    if task.policy is not None:
-        log_archived_policy(run, task.policy)
+    for policy in task.policies:
+        log_archived_policy(run, policy)
     log_item(run, End(exit_code=task.exit_code))
     archive(about.folder, path)
 

@@ -39,19 +39,21 @@ class Row(Stored):
 
 
 class VideoFile(Stored):
-    """A video of a step; the file may be consumed."""
+    """A video of a step; the file may be consumed. seed: whose it is, in a job of several."""
 
     kind: Literal["video"] = "video"
     step: int
     path: Path
+    seed: int | None = None
 
 
 class PolicyFile(Stored):
-    """The policy of a step; the file stays as it is until the run has ended."""
+    """The policy of a step; the file stays as it is until the run has ended. seed: as of a video."""
 
     kind: Literal["policy"] = "policy"
     step: int
     path: Path
+    seed: int | None = None
 
 
 class End(Stored):
@@ -70,8 +72,8 @@ class WriteUp(Stored):
     document.
 
     measurements: JSON lines, each with step, time and values. events: the file for TensorBoard.
-    curve: a picture, of runs that have one. archive: the offline run; None if none is wanted. films, policy:
-    what it shows and has learnt; these files may be consumed.
+    curve: a picture, of runs that have one. archive: the offline run; None if none is wanted. films,
+    policies: what it shows and has learnt; these files may be consumed.
     """
 
     job_id: str
@@ -81,5 +83,5 @@ class WriteUp(Stored):
     about: About | None = None
     archive: Path | None = None
     films: list[VideoFile] = []
-    policy: PolicyFile | None = None
+    policies: list[PolicyFile] = []
     exit_code: int = 0

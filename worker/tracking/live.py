@@ -49,12 +49,13 @@ class Live:
                 self._put(Configured(values=as_resolved(device, engine, details)))
             case Measured(step=step, values=values):
                 self._put(Row(step=step, values=values))
-            case FileReady(role="video" | "policy" as role, path=path, step=step):
-                self._link(path, VideoFile if role == "video" else PolicyFile, step or 0)
+            case FileReady(role="video" | "policy" as role, path=path, step=step, metadata=facts):
+                kept = VideoFile if role == "video" else PolicyFile
+                self._link(path, kept, step or 0, facts.get("seed"))
             case _:
                 pass
 
-    def _link(self, name: str, kept: type[VideoFile | PolicyFile], step: int) -> None:
+    def _link(self, name: str, kept: type[VideoFile | PolicyFile], step: int, seed: int | None) -> None:
         """Have a file, if it is one: the outbox removes the spool's own as soon as it is stored."""
         own = self._folder / name
         with suppress(OSError):
@@ -67,7 +68,7 @@ class Live:
             except NotPlain:
                 own.unlink()
                 return
-            self._put(kept(step=step, path=own))
+            self._put(kept(step=step, path=own, seed=seed))
 
     def finish(self, exit_code: int) -> bool:
         """Send the rest, within a time limit, and end the process; returns whether the server has it all."""

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import wandb
 
+from core.algorithms.events import metric_of_seed
 from worker.tracking.items import NAMES, About, Configured, End, Item, PolicyFile, Row, VideoFile
 
 # How long the server may take to accept a run.
@@ -60,21 +61,25 @@ def log_item(run: Any, item: Item) -> None:
             run.config.update(values, allow_val_change=True)
         case Row(step=step, values=values):
             run.log({_STEP: step, **values})
-        case VideoFile(step=step, path=path):
-            run.log({_STEP: step, path.stem.partition("-")[0]: wandb.Video(str(path), format="mp4")})
-        case PolicyFile(step=step, path=path):
-            log_policy(run, step, path)
+        case VideoFile(step=step, path=path, seed=seed):
+            name = path.stem.partition("-")[0]
+            name = name if seed is None else metric_of_seed(seed, name)
+            run.log({_STEP: step, name: wandb.Video(str(path), format="mp4")})
+        case PolicyFile():
+            log_policy(run, item, item.path)
         case End(exit_code=exit_code):
             run.finish(exit_code=exit_code)
 
 
-def log_policy(run: Any, step: int, path: Path) -> None:
-    """Log the file as the run's model; returns when the server has it.
+def log_policy(run: Any, policy: PolicyFile, path: Path) -> None:
+    """Log the file as the run's model, or that of one of its seeds; returns when the server has it.
 
     The path is recorded relative to the working directory, in which `wandb sync` later looks for it.
     """
     names = {name: run.config[name] for name in NAMES if name in run.config}
-    model = wandb.Artifact(f"policy-{run.id}", type="model", metadata={**names, _STEP: step})
+    suffix = "" if policy.seed is None else f"-seed-{policy.seed}"
+    about = {**names, _STEP: policy.step}
+    model = wandb.Artifact(f"policy-{run.id}{suffix}", type="model", metadata=about)
     model.add_file(os.path.relpath(path), name="policy", policy="immutable", skip_cache=True)
     logged = run.log_artifact(model)
     if not run.offline:
@@ -87,11 +92,11 @@ def log_archived_policy(run: Any, policy: PolicyFile) -> None:
     Its path is recorded from the folder's parent, which is where users will unpack the archive.
     """
     run_folder = Path(run.dir).parent
-    kept = run_folder / _POLICY_FOLDER / "policy"
-    kept.parent.mkdir()
+    kept = run_folder / _POLICY_FOLDER / policy.path.name
+    kept.parent.mkdir(exist_ok=True)
     policy.path.rename(kept)
     with chdir(run_folder.parent):
-        log_policy(run, policy.step, kept)
+        log_policy(run, policy, kept)
 
 
 def archive(folder: Path, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""`python -m worker.training SPOOL EVENTS_FD [COHORT_FD]`, started by the supervisor."""
+"""`python -m worker.training SPOOL EVENTS_FD`, started by the supervisor."""
 
 import json
 import os
@@ -12,7 +12,7 @@ from worker.training.stopping import StopRequest
 
 
 def main() -> None:
-    spool, events_fd, *cohort_fd = Path(sys.argv[1]), *map(int, sys.argv[2:])
+    spool, events_fd = Path(sys.argv[1]), int(sys.argv[2])
     if _has_a_users_model(spool):
         keep_to_own_files(spool)
     die_with_parent()
@@ -22,7 +22,7 @@ def main() -> None:
     os.write(events_fd, json.dumps({"type": "hello", "pid": os.getpid()}).encode() + b"\n")
     from worker.training.run import run  # Imports JAX.
 
-    sys.exit(run(spool, events_fd, stopping, *cohort_fd))
+    sys.exit(run(spool, events_fd, stopping))
 
 
 def _has_a_users_model(spool: Path) -> bool:

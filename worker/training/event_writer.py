@@ -3,12 +3,15 @@
 import os
 from collections import Counter
 from collections.abc import Sequence
+from copy import copy
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from core.jobs.job import ArtifactRole
 from worker.protocol import LONGEST_MESSAGE, Advanced, Failed, FileReady, Measured, Message, Noted
 
+# Files that all seeds of a job share.
+_SHARED: tuple[ArtifactRole, ...] = ("scene", "simulation")
 # A text that is too long is cut to this length, which shows what it is about.
 _KEPT = 4000
 
@@ -20,6 +23,14 @@ class EventWriter:
         self.spool = spool
         self._pipe = os.fdopen(events_fd, "wb", buffering=0)
         self._times_kept = Counter[str]()
+        self._seed: int | None = None
+
+    def of_seed(self, seed: int) -> Self:
+        """The same writer for the files of one of several seeds: their names get the suffix `-seed-<n>`, and
+        their metadata the seed. Files that the seeds share are kept once."""
+        own = copy(self)
+        own._seed = seed
+        return own
 
     def send(self, message: Message) -> None:
         """Send it as one line; one that the supervisor would not read in parts, or what stands for it."""
@@ -50,13 +61,16 @@ class EventWriter:
 
         One of a name that was kept before replaces it in the job's record.
         """
+        if self._seed is not None and role in _SHARED and self._times_kept[name]:
+            return
+        own = self._own_name(name, role)
         # Until the supervisor has stored the one before, that one needs its own path.
-        self._times_kept[name] += 1
-        path = name if self._times_kept[name] == 1 else f"{self._times_kept[name]}-{name}"
+        self._times_kept[own] += 1
+        path = own if self._times_kept[own] == 1 else f"{self._times_kept[own]}-{own}"
         partial = self.spool / f".{path}"
         partial.write_bytes(content)
         partial.rename(self.spool / path)
-        self.hand_over(name, role, media_type, step=step, metadata=metadata, path=path)
+        self._announce(own, path, role, media_type, step, metadata)
 
     def hand_over(
         self,
@@ -66,18 +80,33 @@ class EventWriter:
         *,
         step: int | None = None,
         metadata: dict[str, Any] | None = None,
-        path: str | None = None,
     ) -> None:
-        """Announce a whole file in the spool, where its name is `path` if that is given."""
+        """Announce a whole file that lies in the spool under its name."""
+        own = self._own_name(name, role)
+        if own != name:  # The next seed writes a file of the same name there.
+            (self.spool / name).rename(self.spool / own)
+        self._announce(own, own, role, media_type, step, metadata)
+
+    def _own_name(self, name: str, role: ArtifactRole) -> str:
+        if self._seed is None or role in _SHARED:
+            return name
+        stem, dot, ending = name.partition(".")
+        return f"{stem}-seed-{self._seed}{dot}{ending}"
+
+    def _announce(  # The parts of the message.
+        self,
+        name: str,
+        path: str,
+        role: ArtifactRole,
+        media_type: str,
+        step: int | None,
+        metadata: dict[str, Any] | None,
+    ) -> None:
+        facts = metadata or {}
+        if self._seed is not None and role not in _SHARED:
+            facts = {**facts, "seed": self._seed}
         self.send(
-            FileReady(
-                name=name,
-                path=path or name,
-                role=role,
-                media_type=media_type,
-                step=step,
-                metadata=metadata or {},
-            )
+            FileReady(name=name, path=path, role=role, media_type=media_type, step=step, metadata=facts)
         )
 
 

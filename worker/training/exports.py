@@ -1,7 +1,7 @@
 """The policy of a training for programs elsewhere, as `policy.npz` and `policy.onnx`."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -12,7 +12,7 @@ from core.algorithms.export.network import Network, NotExportable, network_of
 from core.algorithms.export.numpy_file import numpy_file
 from worker.protocol import Noted
 from worker.training.built_environment import BuiltEnvironment
-from worker.training.event_writer import EventWriter
+from worker.training.policy_in_training import PolicyInTraining
 from worker.training.simulations import keep_simulation
 from worker.training.time_budget import TimeBudget
 
@@ -30,36 +30,37 @@ class ExportWriter:
 
     algorithm: str
     built: BuiltEnvironment
-    events: EventWriter
     _has_simulation: bool = False
     _budget: TimeBudget = field(default_factory=TimeBudget)
 
-    def keep_newest(self, policy: Callable[[], bytes], step: int) -> None:
-        """Replace `policy.npz` by the one of a checkpoint, where that costs next to nothing.
+    def keep_newest(self, policies: Sequence[PolicyInTraining]) -> None:
+        """Replace the `policy.npz` of each by the one of a checkpoint, where that costs next to nothing.
 
         A policy that has no such file is left to the end, which says why.
         """
         if ALGORITHMS[self.algorithm].no_export is not None or not self._budget.allows_another():
             return
         began = time.monotonic()
-        self._keep_simulation()
-        with suppress(NotExportable):
-            content = self._written(policy(), step, numpy_file)
-            self.events.keep(_NUMPY, content, "export", _NUMPY_TYPE, step=step)
+        for policy in policies:
+            self._keep_simulation(policy)
+            with suppress(NotExportable):
+                step = policy.step()
+                content = self._written(policy.content(), step, numpy_file)
+                policy.events.keep(_NUMPY, content, "export", _NUMPY_TYPE, step=step)
         self._budget.spent(began)
 
-    def keep_last(self, policy: bytes, step: int) -> None:
+    def keep_last(self, policy: PolicyInTraining, content: bytes) -> None:
         """Keep both files. One that cannot be written is a note: the job has its policy."""
         if ALGORITHMS[self.algorithm].no_export is None:
-            self._keep_both(_LAST, policy, step)
-            self._keep_simulation()
+            self._keep_both(_LAST, policy, content, policy.step())
+            self._keep_simulation(policy)
 
-    def keep_best(self, policy: bytes, step: int) -> None:
-        """Keep both files of the best evaluation's policy."""
+    def keep_best(self, policy: PolicyInTraining, content: bytes, step: int) -> None:
+        """Keep both files of the best evaluation's policy. content, step: as they were then."""
         if ALGORITHMS[self.algorithm].no_export is None:
-            self._keep_both(_BEST, policy, step)
+            self._keep_both(_BEST, policy, content, step)
 
-    def _keep_both(self, stem: str, policy: bytes, step: int) -> None:
+    def _keep_both(self, stem: str, policy: PolicyInTraining, content: bytes, step: int) -> None:
         # Its import takes 0.3 s, which no start waits for.
         from core.algorithms.export.onnx_file import onnx_file
 
@@ -69,13 +70,14 @@ class ExportWriter:
         }
         for name, (write, media_type) in writers.items():
             try:
-                self.events.keep(name, self._written(policy, step, write), "export", media_type, step=step)
+                file = self._written(content, step, write)
+                policy.events.keep(name, file, "export", media_type, step=step)
             except NotExportable as error:
-                self.events.send(Noted(text=f"There is no {name}: {error}."))
+                policy.events.send(Noted(text=f"There is no {name}: {error}."))
 
-    def _keep_simulation(self) -> None:
+    def _keep_simulation(self, policy: PolicyInTraining) -> None:
         if not self._has_simulation:
-            keep_simulation(self.built.environment, self.events)
+            keep_simulation(self.built.environment, policy.events)
             self._has_simulation = True
 
     def _written(self, policy: bytes, step: int, write: _Writer) -> bytes:

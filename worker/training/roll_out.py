@@ -70,7 +70,8 @@ def roll_out(
         replays.keep(episodes, "", None)
         if spec.video is not None:
             events.send(PhaseBegan(phase="drawing"))
-            film = VideoRecorder(spec, spec.video, built, policy, events, replays)
+            roller = Roller(built.environment, policy, num_envs=spec.video.episodes)
+            film = VideoRecorder(spec, spec.video, built, roller, events, replays)
             of_video = filmed(
                 episodes,
                 dt=built.environment.dt,
@@ -123,7 +124,9 @@ def _policy(
         case CheckpointPolicy():
             content = (events.spool / str(task.checkpoint)).read_bytes()
             if task.policy_of is None:
-                trained = policy_from_checkpoint(content, deterministic=spec.deterministic)
+                trained = policy_from_checkpoint(
+                    content, deterministic=spec.deterministic, seed=task.policy_seed
+                )
             else:
                 trained = load_policy(
                     content, task.policy_of, is_checkpoint=False, deterministic=spec.deterministic

@@ -6,7 +6,6 @@ import time
 import traceback
 from collections.abc import Generator
 from contextlib import contextmanager, redirect_stdout
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 from core.errors import GaitwayError, JobFailed
@@ -18,16 +17,13 @@ from worker.training.failure import failure
 from worker.training.stopping import StopRequest
 
 
-def run(spool: Path, events_fd: int, stopping: StopRequest, cohort_fd: int | None = None) -> int:
-    """Run the task in the spool; returns the exit status. The last message is Finished or Failed.
-
-    cohort_fd: of the connection to the process that trains it together with others, if one does.
-    """
+def run(spool: Path, events_fd: int, stopping: StopRequest) -> int:
+    """Run the task in the spool; returns the exit status. The last message is Finished or Failed."""
     events, device = EventWriter(spool, events_fd), "cpu"
     try:
         task = Task.model_validate_json((spool / "task.json").read_bytes())
         device = task.device
-        stopped = _dispatch(task, events, stopping, cohort_fd)
+        stopped = _dispatch(task, events, stopping)
     except JobFailed as error:
         events.send(Failed(reason=error.reason, message=error.detail))
     except GaitwayError as error:
@@ -41,18 +37,15 @@ def run(spool: Path, events_fd: int, stopping: StopRequest, cohort_fd: int | Non
     return 1
 
 
-def _dispatch(task: Task, events: EventWriter, stopping: StopRequest, cohort_fd: int | None) -> bool:
+def _dispatch(task: Task, events: EventWriter, stopping: StopRequest) -> bool:
     """Run the task; returns whether a stop cut it short."""
     began = time.perf_counter()
     with _without_warnings_of_warp():
         from worker.training.built_environment import build_environment
-        from worker.training.cohort.member import train_as_member
         from worker.training.roll_out import roll_out
         from worker.training.train import train
 
     events.send(PhaseEnded(name="import", seconds=time.perf_counter() - began))
-    if cohort_fd is not None and isinstance(task.spec, TrainSpec):
-        return train_as_member(task, task.spec, events, stopping, Connection(cohort_fd))
     built = build_environment(task)
     match task.spec:
         case TrainSpec():

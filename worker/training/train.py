@@ -2,32 +2,41 @@
 
 import math
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
 from core.algorithms.catalog import least_memory, resolve
-from core.algorithms.events import CheckpointReady, Evaluated, Evaluating, Event, Phase, Progress
-from core.algorithms.policy import load_policy
-from core.algorithms.run import Run, make_run
+from core.algorithms.events import (
+    CheckpointReady,
+    Evaluated,
+    Evaluating,
+    Event,
+    Phase,
+    Progress,
+    SeedDiverged,
+    is_of_a_seed,
+)
+from core.algorithms.run import make_run
+from core.algorithms.seeds import make_seeds_run
 from core.algorithms.spec import BaseSpec
 from core.errors import JobFailed
 from core.jobs.job import JobPhase
-from core.jobs.spec import TrainSpec, VideoSpec
-from worker.protocol import Advanced, BestSoFar, Measured, Noted, PhaseBegan, PhaseEnded, Task
-from worker.training.best_policy import BestPolicy
+from core.jobs.spec import TrainSpec
+from worker.protocol import Advanced, Measured, Noted, PhaseBegan, PhaseEnded, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.exports import ExportWriter
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
-from worker.training.replays import ReplayWriter
+from worker.training.policy_files import PolicyFiles
+from worker.training.policy_in_training import PolicyInTraining
+from worker.training.policy_videos import PolicyVideos
 from worker.training.stopping import StopRequest
-from worker.training.time_budget import TimeBudget
-from worker.training.video import VideoRecorder
 
 # A tenth of the budget lies between checkpoints where the job does not say.
 _CHECKPOINTS = 10
@@ -50,17 +59,20 @@ def train(
 
     Keeps checkpoints, the newest one's policy as `policy.npz`, and the best evaluation's as `policy-best`;
     and at the end, unless the job continues elsewhere, its policy, both also for programs elsewhere, and the
-    video that it asks for.
+    video that it asks for. Each of several seeds has such policies and a video of its own.
     """
     settings = resolve(spec.algorithm, built.info, built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
-    check_memory(least_memory(settings, built.info, built.num_devices), built.device)
-    run = begin_or_resume(task, spec, settings, built, events)
-    return follow(run, spec, settings, built, events, stopping, best_before=task.best)
+    memory = least_memory(settings, built.info, built.num_devices)
+    check_memory(memory.of_seeds(len(spec.seeds or [spec.seed])), built.device)
+    run, policies = begin_or_resume(task, spec, settings, built, events)
+    files = PolicyFiles(policies, ExportWriter(settings.algorithm(), built), task.best)
+    videos = None if spec.video is None else PolicyVideos(spec.video, built, policies)
+    return _follow(run, files, videos, spec, events, stopping)
 
 
 class FollowedRun(Protocol):
-    """What a training asks of its run: see `core.algorithms.run.Run`."""
+    """What a training asks of its run: see `core.algorithms.run.Run`, and `SeedsRun`."""
 
     @property
     def step(self) -> int: ...
@@ -72,32 +84,20 @@ class FollowedRun(Protocol):
 
     def checkpoint(self) -> bytes: ...
 
-    def policy(self) -> bytes: ...
-
     def tables(self) -> Mapping[str, NDArray[Any]]: ...
 
 
-def follow(  # noqa: PLR0913 # What runs, and what is done with it.
+def _follow(  # What runs, and what is done with it.
     run: FollowedRun,
+    files: PolicyFiles,
+    videos: PolicyVideos | None,
     spec: TrainSpec,
-    settings: BaseSpec,
-    built: BuiltEnvironment,
     events: EventWriter,
     stopping: StopRequest,
-    *,
-    best_before: BestSoFar | None,
-    others_wait: bool = False,
 ) -> bool:
-    """Turn the run's events into messages and files; see `train`.
-
-    best_before: the best evaluation's policy of the attempts before. others_wait: for as long as this takes.
-    """
+    """Turn the run's events into messages and files; see `train`."""
     report = Report(events, run, spec.checkpoints.every_seconds)
     report.enter("compiling")
-    exports, best = ExportWriter(settings.algorithm(), built, events), BestPolicy(events, best_before)
-    videos = (
-        None if spec.video is None else PolicyVideos(spec, spec.video, built, events, run, not others_wait)
-    )
     try:
         with closing(run.events()) as told:
             for event in told:
@@ -105,29 +105,26 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
                     stopping.keep_before_leaving()
                 report.publish(event)
                 if isinstance(event, Evaluated):
-                    best.see(event, run.policy)
+                    files.see(event)
                 if stopping.asked:
                     break
                 is_kept = isinstance(event, CheckpointReady)
                 if isinstance(event, Progress):
                     is_kept = report.keep_checkpoint_if_due()
-                if is_kept and not others_wait and run.step < run.total:
+                if is_kept and run.step < run.total:
                     with stopping.nothing_to_keep():
-                        exports.keep_newest(run.policy, run.step)
+                        files.keep_newest()
                 if isinstance(event, CheckpointReady) and videos:
                     with stopping.nothing_to_keep():
-                        videos.at_checkpoint(event.step, report)
+                        videos.at_checkpoint(event.step, report.enter, is_last=run.step >= run.total)
     except JobFailed:
         report.keep_checkpoint()  # The last good one.
-        best.keep_exports(exports)
+        files.keep_best()
         raise
     report.keep_checkpoint()
     with stopping.nothing_to_keep():
-        policy = run.policy()
-        best.keep_exports(exports)
-        exports.keep_last(policy, run.step)
-        # After those: with this one the job has its final policy, in whatever form.
-        events.keep("policy", policy, "policy", "application/octet-stream", step=run.step)
+        files.keep_best()
+        files.keep_last()
         with _tables(run, spec, events):
             if videos:
                 report.enter("drawing")
@@ -143,69 +140,41 @@ def _tables(run: FollowedRun, spec: TrainSpec, events: EventWriter) -> AbstractC
 
 def begin_or_resume(
     task: Task, spec: TrainSpec, settings: BaseSpec, built: BuiltEnvironment, events: EventWriter
-) -> Run[Any]:
-    """A run of the algorithm that the settings name; it resumes from the task's checkpoint, if it has one."""
+) -> tuple[FollowedRun, Sequence[PolicyInTraining]]:
+    """A run of the algorithm that the settings name, and the policies that it trains.
+
+    It resumes from the task's checkpoint, if it has one.
+    """
     resume = (events.spool / task.checkpoint).read_bytes() if task.checkpoint else None
-    return make_run(
-        built.environment,
-        settings,
-        seed=spec.seed,
-        checkpoint_every_steps=steps_between_checkpoints(spec, settings),
-        resume=resume,
-        devices=built.num_devices,
+    every = _steps_between_checkpoints(spec, settings)
+    if spec.seeds is None:
+        run = make_run(
+            built.environment,
+            settings,
+            seed=spec.seed,
+            checkpoint_every_steps=every,
+            resume=resume,
+            devices=built.num_devices,
+        )
+        return run, [PolicyInTraining(spec, events, lambda: run.step, run.policy)]
+    together = make_seeds_run(
+        built.environment, settings, seeds=spec.seeds, checkpoint_every_steps=every, resume=resume
     )
+    return together, [
+        PolicyInTraining(
+            spec.of_seed(seed),
+            events.of_seed(seed),
+            partial(together.step_of, seed),
+            partial(together.policy, seed),
+            seed,
+        )
+        for seed in spec.seeds
+    ]
 
 
-def steps_between_checkpoints(spec: TrainSpec, settings: BaseSpec) -> int:
+def _steps_between_checkpoints(spec: TrainSpec, settings: BaseSpec) -> int:
     """Environment steps from one checkpoint to the next."""
     return spec.checkpoints.every_steps or max(1, settings.budget // _CHECKPOINTS)
-
-
-@dataclass
-class PolicyVideos:
-    """Videos and replays of a run's policy as it is at the time; it is compiled for the first of them.
-
-    has_time: whether to make replays that nobody asked for.
-    """
-
-    spec: TrainSpec
-    video: VideoSpec
-    built: BuiltEnvironment
-    events: EventWriter
-    run: FollowedRun
-    has_time: bool = True
-    _film: VideoRecorder | None = None
-    _budget: TimeBudget = field(default_factory=TimeBudget)
-
-    def at_checkpoint(self, step: int, report: "Report") -> None:
-        """Keep a video, where the job asks for one; otherwise a replay, where that costs next to nothing."""
-        if self.video.every_checkpoint:
-            report.enter("drawing")
-            self.take(f"video-{step:012d}")
-            report.enter("training")
-        elif self.has_time and step < self.run.total and self._budget.allows_another():
-            began = time.monotonic()
-            report.enter("drawing")
-            film, parameters = self._filmed()
-            film.replay(f"-{step:012d}", parameters, step)
-            self._budget.spent(began)
-            report.enter("training")
-
-    def take(self, name: str) -> None:
-        """Keep a video of the present step as `<name>.mp4`."""
-        film, parameters = self._filmed()
-        film.shoot(name, parameters, self.run.step)
-
-    def _filmed(self) -> tuple[VideoRecorder, Any]:
-        """The recorder, and the policy's parameters as they are now."""
-        # Not from a checkpoint, which may hold a replay buffer.
-        policy = load_policy(self.run.policy(), self.spec.algorithm.algorithm(), is_checkpoint=False)
-        if self._film is None:
-            env, act = policy.acting(self.built.environment)
-            built = replace(self.built, environment=env)
-            replays = ReplayWriter(built, self.events)
-            self._film = VideoRecorder(self.spec, self.video, built, act, self.events, replays)
-        return self._film, policy.parameters
 
 
 @dataclass
@@ -232,19 +201,21 @@ class Report:
                 if name == "compile":
                     self.enter("training")
             case Progress(step=step, total=total, metrics=metrics):
-                self._metrics.update(metrics)
+                self._remember(metrics)
                 self._warn(step, metrics)
                 self.events.send(Measured(step=step, values=dict(metrics)))
                 self.events.send(self._advanced(step, total))
             case Evaluating():
                 self.enter("evaluating")
             case Evaluated(step=step, metrics=metrics):
-                self._metrics.update(metrics)
+                self._remember(metrics)
                 self.enter("training")
                 self.events.send(Measured(step=step, values=dict(metrics)))
                 self.events.send(self._advanced(step, self.run.total))
             case CheckpointReady():
                 self.keep_checkpoint()
+            case SeedDiverged(seed=seed, detail=detail):
+                self.events.send(Noted(text=f"Seed {seed} has diverged and is trained no further. {detail}"))
 
     def keep_checkpoint(self) -> None:
         """Keep a checkpoint of the present state, unless there is one already."""
@@ -261,6 +232,10 @@ class Report:
         if is_due:
             self.keep_checkpoint()
         return is_due
+
+    def _remember(self, metrics: Mapping[str, float]) -> None:
+        """Remember the newest values that a job shows; of several seeds these are the means."""
+        self._metrics.update((name, value) for name, value in metrics.items() if not is_of_a_seed(name))
 
     def _warn(self, step: int, metrics: Mapping[str, float]) -> None:
         """Of each once; how often it happens from then on is a metric, but for one that is no number."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import jax
@@ -10,7 +9,7 @@ import mujoco
 import numpy as np
 
 from core.environments import trajectory
-from core.environments.rollout import ParametricPolicy, Roller, footage, trajectory_of
+from core.environments.rollout import Roller, footage, trajectory_of
 from core.environments.trajectory import Episode, Trajectory
 from core.jobs.spec import RolloutSpec, TrainSpec, VideoSpec
 from core.rendering.gl import RenderingFailed
@@ -30,12 +29,12 @@ _START_UP_S = 60.0
 
 @dataclass(frozen=True)
 class VideoRecorder:
-    """Makes a job's videos. The policy is compiled once, whatever its parameters."""
+    """Makes a job's videos. roller: acts by the policy, in `video.episodes` episodes side by side."""
 
     spec: TrainSpec | RolloutSpec
     video: VideoSpec
     built: BuiltEnvironment
-    policy: ParametricPolicy
+    roller: Roller
     events: EventWriter
     replays: ReplayWriter
 
@@ -103,7 +102,7 @@ class VideoRecorder:
     def _episodes(self, parameters: Any) -> list[Episode]:
         """None, and a note, where the physics did not stay finite: such numbers cannot be drawn."""
         episodes = footage(
-            self._roller,
+            self.roller,
             parameters,
             jax.random.PRNGKey(self.spec.seed),
             dt=self.built.environment.dt,
@@ -116,7 +115,3 @@ class VideoRecorder:
             self.events.send(Noted(text=text))
             return []
         return episodes
-
-    @cached_property
-    def _roller(self) -> Roller:
-        return Roller(self.built.environment, self.policy, num_envs=self.video.episodes)

@@ -16,6 +16,7 @@ class OffPolicySpec(BaseSpec):
 
     checkpoint_holds_envs: ClassVar[bool] = True
     arguments: ClassVar[tuple[str, ...]] = ("learning_rate", "discounting", "reward_scaling", "tau")
+    why_no_seeds: ClassVar[str | None] = None
 
     num_timesteps: int = Field(
         default=2_000_000,

@@ -47,6 +47,7 @@ class PPOSpec(BaseSpec):
         "vf_loss_coefficient",
         "max_grad_norm",
     )
+    why_no_seeds: ClassVar[str | None] = None
     trains_in_parts: ClassVar[bool] = True
 
     kind: Literal["ppo"] = "ppo"

@@ -47,6 +47,9 @@ class QLearningSpec(BaseSpec):
     and otherwise the default shown here; `GET /environments/{id}` shows the result.
     """
 
+    why_no_seeds: ClassVar[str | None] = (
+        "its `agents` learn side by side already, and each may have a `seed` of its own"
+    )
     fixed_by_checkpoint: ClassVar[tuple[str, ...]] = (
         "num_agents",
         "env_steps_per_update",

@@ -33,8 +33,7 @@ def run(world: World, seed: int, campaign: Campaign) -> Outcome:
     rng = random.Random(seed)
     faults = campaign.draw(rng, _FAULTS_WITHIN_S)
     started = time.monotonic()
-    # The label of a sweep makes jobs that can train together, where workers do so.
-    users = Users(world.url, NUM_JOBS, rng, {"labels": {"sweep": str(seed)}, **campaign.spec})
+    users = Users(world.url, NUM_JOBS, rng, campaign.spec)
     _happen(world, faults, started)
     world.heal()
     late = users.wait(_END_WITHIN_S + max(fault.aftermath_s for fault in faults))

@@ -1,7 +1,7 @@
-"""Outages that must cost no attempt: each job has one, and two train together where a worker may take them.
+"""Outages that must cost no attempt: each job has one.
 
 full Redis (maxmemory is reached), full disks of the stores, clocks of workers that are minutes off, answers
-that are lost: those of claims, of companions too, and any between a worker and a store.
+that are lost: those of claims, and any between a worker and a store.
 """
 
 import random
@@ -76,5 +76,5 @@ _KINDS: Kinds = {
     "claims_lost": (_claims_lost, 4),
     "cut_off": (_cut_off, 3),
 }
-_SETTINGS: Mapping[str, str] = {"GAITWAY_COHORT": "2", "GAITWAY_LEASE": "12"}
+_SETTINGS: Mapping[str, str] = {"GAITWAY_LEASE": "12"}
 CAMPAIGN = Campaign(_KINDS, spec={"max_attempts": 1}, settings=_SETTINGS)

@@ -44,6 +44,13 @@ def test_it_is_accepted_as_a_job_and_has_nothing_left_to_fill_in(jobs: JobStore,
     assert accepted
 
 
+def test_several_seeds_stay_alone(jobs: JobStore) -> None:
+    whole = filled_in(job(environment="ant", seeds=[0, 4]), jobs)
+    assert whole["seeds"] == [0, 4]
+    assert "seed" not in whole
+    assert filled_in(job(**whole), jobs) == whole
+
+
 def test_several_cameras_stay_alone_and_a_rollout_has_no_algorithm(jobs: JobStore) -> None:
     spec = {"kind": "rollout", "environment": "ant", "policy": {"kind": "zero"}, "video": {"cameras": [0]}}
     whole = filled_in(job(**spec), jobs)

@@ -104,11 +104,6 @@ def test_what_ends_so_again_and_again_is_the_jobs_own_fault(
     assert job.message == f"It failed. {most} attempts ended like this; there is no further one."
 
 
-def test_the_end_of_a_cohort_costs_no_attempt(service: Service) -> None:
-    job = service.fail(service.worker.submit(max_attempts=1), Reason.COHORT_ENDED)
-    assert (job.status, job.lost_attempts) == (JobStatus.QUEUED, 0)
-
-
 def test_a_bad_card_costs_no_attempt(service: Service) -> None:
     job = service.fail(service.worker.submit(max_attempts=1), Reason.DEVICE_FAILED, times=2)
     assert (job.status, job.lost_attempts) == (JobStatus.QUEUED, 0)

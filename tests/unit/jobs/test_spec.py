@@ -13,7 +13,7 @@ from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.tuned.catalog import TUNED
 from core.environments.info import EnvironmentInfo
 from core.errors import Rejected
-from core.jobs.job import Job
+from core.jobs.job import Artifact, Job
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from tests.unit.jobs.making import make_job
 
@@ -121,3 +121,35 @@ def test_the_budget_is_paid_in_whole_updates() -> None:
     # 4 × 2 × 5 = 40 steps an update; 100 steps need three of them.
     settings = PPOSpec(batch_size=4, num_minibatches=2, unroll_length=5, num_timesteps=100)
     assert (settings.env_steps_per_update, settings.num_updates) == (40, 3)
+
+
+@pytest.mark.parametrize("seeds", [[], [1], list(range(17)), [0, 1, 0], [-1, 2], [0, 2**31], 3, ["a", "b"]])
+def test_seeds_are_two_to_sixteen_different_ones(seeds: Any) -> None:
+    places = refused({"kind": "train", "environment": "ant", "seeds": seeds})
+    assert {place[:2] for place in places} == {("train", "seeds")}
+
+
+def test_a_seed_and_several_exclude_each_other() -> None:
+    with pytest.raises(ValidationError, match="`seed` and `seeds` exclude each other"):
+        JOB_SPEC.validate_python({"kind": "train", "environment": "ant", "seed": 0, "seeds": [0, 1]})
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", "seed": 7, "seeds": None})
+    assert spec.seed == 7
+
+
+def test_a_job_has_the_files_of_a_seed_and_those_that_all_share() -> None:
+    def artifact(name: str, role: Any, seed: int | None = None) -> Artifact:
+        facts = {} if seed is None else {"seed": seed}
+        return Artifact(name=name, role=role, media_type="", size=0, sha256="", key=name, metadata=facts)
+
+    files = (
+        artifact("checkpoint", "checkpoint"),
+        artifact("policy-seed-4", "policy", 4),
+        artifact("policy-seed-2", "policy", 2),
+    )
+    job = make_job(seeds=[4, 2]).with_artifacts(files)
+    assert job.seeds == (4, 2)
+    for seed, name in ((None, "policy-seed-4"), (4, "policy-seed-4"), (2, "policy-seed-2")):
+        assert [file.name for file in job.files_of(seed)] == ["checkpoint", name]
+        assert getattr(job.newest("policy", seed=seed), "name", None) == name
+    alone = make_job().with_artifacts(files[1:])
+    assert (alone.seeds, len(alone.files_of(None))) == ((), 2)

@@ -11,6 +11,7 @@ import numpy as np
 from core.algorithms.events import Evaluated
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments import catalog
+from core.jobs.spec import TrainSpec
 from gaitway import exported_policy
 from tests.exports import policy_file
 from tests.probes import endless
@@ -19,6 +20,7 @@ from worker.training.best_policy import BestPolicy
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.exports import ExportWriter
+from worker.training.policy_in_training import PolicyInTraining
 
 BEFORE = BestSoFar(path="from-before", step=50, episode_return=4.0)
 
@@ -39,15 +41,15 @@ def messages(
     spool: Path, returns: Sequence[float | None], before: BestSoFar | None, policy: Any, *, ends: bool = False
 ) -> list[dict[str, Any]]:
     read, write = os.pipe()
-    events = EventWriter(spool, write)
-    best = BestPolicy(events, before)
-    for number, value in enumerate(returns, 1):
-        metrics = {} if value is None else {"eval/episode_reward": value}
-        best.see(Evaluated(100 * number, metrics), lambda step=100 * number: policy(step))
+    events, step = EventWriter(spool, write), 0
+    trained = PolicyInTraining(TrainSpec(environment="ant"), events, lambda: step, lambda: policy(step))
+    best = BestPolicy(trained, before)
+    for step, value in zip(range(100, 10_000, 100), returns, strict=False):
+        best.see(Evaluated(step, {} if value is None else {"eval/episode_reward": value}))
     if ends:
         info, _ = catalog.resolve("corridor", {"walker": "ant"})
         built = BuiltEnvironment(info, endless(), "cpu", "cpu", "native", "asked for")
-        best.keep_exports(ExportWriter("ppo", built, events))
+        best.keep_exports(ExportWriter("ppo", built))
     events._pipe.close()
     with os.fdopen(read, "rb") as pipe:
         return [json.loads(line) for line in pipe]
@@ -59,6 +61,28 @@ def test_each_better_evaluation_replaces_the_one_before(tmp_path: Path) -> None:
         (100, -3.0, b"of step 100"),
         (200, 2.0, b"of step 200"),
         (600, 2.5, b"of step 600"),
+    ]
+
+
+def test_each_seed_is_compared_by_its_own_return(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    events, spec = EventWriter(tmp_path, write), TrainSpec(environment="ant")
+    best = [
+        BestPolicy(PolicyInTraining(spec, events.of_seed(seed), lambda: 1, lambda: b"own", seed), None)
+        for seed in (4, 2)
+    ]
+    for step, returns in ((100, {4: 1.0, 2: 2.0}), (200, {4: 3.0, 2: 1.0}), (300, {2: 5.0})):
+        own = {f"seed_{seed}/eval/episode_reward": value for seed, value in returns.items()}
+        for one in best:
+            one.see(Evaluated(step, {"eval/episode_reward": 9.0, **own}))
+    events._pipe.close()
+    with os.fdopen(read, "rb") as pipe:
+        said = [json.loads(line) for line in pipe]
+    assert [(message["name"], message["step"], message["metadata"]["return"]) for message in said] == [
+        ("policy-best-seed-4", 100, 1.0),
+        ("policy-best-seed-2", 100, 2.0),
+        ("policy-best-seed-4", 200, 3.0),
+        ("policy-best-seed-2", 300, 5.0),
     ]
 
 

@@ -72,3 +72,30 @@ def test_what_is_too_long_is_cut_or_said(tmp_path: Path) -> None:
     assert noted["text"] == long[:4000]
     assert left_out["type"] == "note"
     assert f"may have {LONGEST_MESSAGE}" in left_out["text"]
+
+
+def test_a_seeds_files_have_its_suffix_and_what_the_seeds_share_is_kept_once(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    events = EventWriter(tmp_path, writer)
+    for seed in (0, 5):
+        own = events.of_seed(seed)
+        own.keep("policy-best.npz", b"of %d" % seed, "export", "", step=7, metadata={"return": 1.0})
+        own.keep("policy-best.npz", b"again of %d" % seed, "export", "", step=8)
+        own.keep("scene.glb", b"the scene", "scene", "")
+        (tmp_path / "video.mp4").write_bytes(b"video of %d" % seed)
+        own.hand_over("video.mp4", "video", "", step=8, metadata={"fps": 30})
+    events.keep("checkpoint", b"of all", "checkpoint", "")
+    events._pipe.close()
+    with os.fdopen(reader, "rb") as pipe:
+        files = [json.loads(line) for line in pipe]
+    kept = [(file["name"], (tmp_path / file["path"]).read_bytes(), file["metadata"]) for file in files]
+    assert kept == [
+        ("policy-best-seed-0.npz", b"of 0", {"return": 1.0, "seed": 0}),
+        ("policy-best-seed-0.npz", b"again of 0", {"seed": 0}),
+        ("scene.glb", b"the scene", {}),
+        ("video-seed-0.mp4", b"video of 0", {"fps": 30, "seed": 0}),
+        ("policy-best-seed-5.npz", b"of 5", {"return": 1.0, "seed": 5}),
+        ("policy-best-seed-5.npz", b"again of 5", {"seed": 5}),
+        ("video-seed-5.mp4", b"video of 5", {"fps": 30, "seed": 5}),
+        ("checkpoint", b"of all", {}),
+    ]

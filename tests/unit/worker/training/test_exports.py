@@ -13,6 +13,7 @@ import pytest
 from core.algorithms.policy_file import read_policy, write_policy
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments import catalog
+from core.jobs.spec import TrainSpec
 from gaitway import exported_policy
 from tests.exports import numpy_answers, onnx_answers, policy_file
 from tests.probes import endless
@@ -20,6 +21,7 @@ from worker.training import time_budget
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.exports import ExportWriter
+from worker.training.policy_in_training import PolicyInTraining
 
 SEEN = np.random.default_rng(0).normal(0, 3, (20, 5)).astype(np.float32)
 
@@ -32,10 +34,13 @@ def handed_over(
     events = EventWriter(spool, write)
     info, _ = catalog.resolve("corridor", {"walker": "ant"})
     built = BuiltEnvironment(info, endless(), "cpu", "cpu", "native", "asked for")
-    exports = ExportWriter(algorithm, built, events)
-    for step in checkpoints:
-        exports.keep_newest(lambda: policy, step)
-    exports.keep_last(policy, 640)
+    exports, step = ExportWriter(algorithm, built), 0
+    trained = PolicyInTraining(TrainSpec(environment="ant"), events, lambda: step, lambda: policy)
+    for now in checkpoints:
+        step = now
+        exports.keep_newest([trained])
+    step = 640
+    exports.keep_last(trained, policy)
     events._pipe.close()
     with os.fdopen(read, "rb") as pipe:
         return [json.loads(line) for line in pipe]

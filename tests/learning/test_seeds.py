@@ -1,0 +1,254 @@
+"""Seeds that one run trains side by side: each as its own run would train it, but for rounding."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from core.algorithms.checkpoint import Format, of_seed
+from core.algorithms.dqn.policy import FORMAT as DQN_FORMAT
+from core.algorithms.events import (
+    CheckpointReady,
+    Evaluated,
+    Event,
+    Progress,
+    SeedDiverged,
+    is_of_a_seed,
+    metric_of_seed,
+)
+from core.algorithms.policy import policy_from_checkpoint
+from core.algorithms.ppo.checkpoint import FORMAT as PPO_FORMAT
+from core.algorithms.run import Run
+from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
+from core.algorithms.seeds import SeedsRun, make_seeds_run
+from core.algorithms.spec import BaseSpec
+from core.environments import catalog
+from core.environments.environment import Environment, State
+from core.errors import JobFailed, Rejected
+from core.physics.choose import engine_builder
+from core.physics.engine import NOMINAL, ModelFields
+from core.reasons import Reason
+from tests import probes
+from tests.learning.dqn_runs import STEPS_PER_UPDATE as DQN_STEPS_PER_UPDATE
+from tests.learning.dqn_runs import dqn_run, dqn_settings
+from tests.learning.q_probes import q_settings
+from tests.learning.runs import STEPS_PER_UPDATE, small_run, small_settings
+from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
+from tests.learning.sac_runs import sac_run, sac_settings
+
+RETURN = "eval/episode_reward"
+
+
+@dataclass(frozen=True)
+class Case:
+    """An algorithm's small runs. update: environment steps."""
+
+    settings: Callable[..., BaseSpec]
+    begin: Callable[..., Run[Any]]
+    update: int
+    format: Format
+
+    @property
+    def budget(self) -> dict[str, Any]:
+        """Six updates with an evaluation after the third and the last."""
+        return {"num_timesteps": 6 * self.update, "num_evals": 2, "episode_length": 5}
+
+
+PPO = Case(small_settings, small_run, STEPS_PER_UPDATE, PPO_FORMAT)
+SAC = Case(sac_settings, sac_run, SAC_STEPS_PER_UPDATE, SAC_FORMAT)
+DQN = Case(dqn_settings, dqn_run, DQN_STEPS_PER_UPDATE, DQN_FORMAT)
+SEEDS = [0, 3, 1]
+
+
+def seeds_run(
+    case: Case,
+    environment: Environment,
+    seeds: Sequence[int] = SEEDS,
+    resume: bytes | None = None,
+    **changes: Any,
+) -> SeedsRun[Any]:
+    settings = case.settings(**{**case.budget, **changes})
+    return make_seeds_run(
+        environment, settings, seeds=seeds, checkpoint_every_steps=2 * case.update, resume=resume
+    )
+
+
+def ant(engine: Any) -> Environment:
+    info = catalog.find("ant")
+    return catalog.make(info, info.options(), engine_builder(engine))
+
+
+@pytest.mark.parametrize(
+    ("case", "environment"),
+    [
+        (PPO, probes.observed_action_reward),
+        (SAC, probes.observed_action_reward),
+        (DQN, probes.endless),
+        (PPO, lambda: ant("compiled")),
+        (PPO, lambda: ant("native")),
+    ],
+    ids=["ppo", "sac", "dqn", "ppo-compiled", "ppo-native"],
+)
+def test_each_seed_is_trained_as_it_would_be_alone(
+    case: Case, environment: Callable[[], Environment]
+) -> None:
+    together = seeds_run(case, environment())
+    events = list(together.events())
+    checkpoint = together.checkpoint()
+    for seed in SEEDS:
+        alone = case.begin(environment(), checkpoint_every_steps=2 * case.update, seed=seed, **case.budget)
+        its_events = list(alone.events())
+        assert [type(one) for one in events if is_due(one)] == [
+            type(one) for one in its_events if is_due(one)
+        ]
+        for mine, its in zip(evaluations(events), evaluations(its_events), strict=True):
+            assert mine.step == its.step
+            own = mine.metrics[metric_of_seed(seed, RETURN)]
+            assert own == pytest.approx(its.metrics[RETURN], rel=1e-3, abs=1e-4)
+        (_, mine), (_, its) = (
+            case.format.read(content) for content in (of_seed(checkpoint, seed), alone.checkpoint())
+        )
+        for one, other in zip(jax.tree.leaves(mine), jax.tree.leaves(its), strict=True):
+            assert (one.shape, one.dtype) == (other.shape, other.dtype)
+            np.testing.assert_array_less(np.abs(one - other.astype(one.dtype)), 2e-2 + 1e-2 * np.abs(other))
+
+
+def is_due(one: Event) -> bool:
+    """Whether it comes at a step that the settings alone decide."""
+    return not isinstance(one, Progress)
+
+
+def evaluations(events: Sequence[Event]) -> list[Evaluated]:
+    return [one for one in events if isinstance(one, Evaluated)]
+
+
+def test_a_metric_is_the_mean_over_the_seeds() -> None:
+    for event in seeds_run(PPO, probes.observed_action_reward()).events():
+        if isinstance(event, Evaluated):
+            own = [event.metrics[metric_of_seed(seed, RETURN)] for seed in SEEDS]
+            assert event.metrics[RETURN] == pytest.approx(sum(own) / 3)
+            assert len(set(own)) == 3
+
+
+@pytest.mark.parametrize(
+    ("case", "environment"),
+    [(PPO, lambda: ant("compiled")), (SAC, probes.observed_action_reward), (DQN, probes.endless)],
+    ids=["ppo", "sac", "dqn"],
+)
+def test_a_resumed_run_ends_in_the_bytes_of_an_uninterrupted_one(
+    case: Case, environment: Callable[[], Environment]
+) -> None:
+    whole = seeds_run(case, environment())
+    kept = b""
+    for event in whole.events():
+        if isinstance(event, CheckpointReady) and not kept:
+            kept = whole.checkpoint()
+    resumed = seeds_run(case, environment(), resume=kept)
+    assert resumed.step == 2 * case.update
+    assert resumed.checkpoint() == kept
+    list(resumed.events())
+    assert resumed.checkpoint() == whole.checkpoint()
+    assert [resumed.policy(seed) for seed in SEEDS] == [whole.policy(seed) for seed in SEEDS]
+
+
+def test_a_seeds_policy_is_the_one_in_its_part_of_the_checkpoint() -> None:
+    run = seeds_run(PPO, probes.observed_action_reward())
+    list(run.events())
+    parameters = [policy_from_checkpoint(run.checkpoint(), seed=seed).parameters for seed in SEEDS]
+    leaves = [np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(one)]) for one in parameters]
+    assert not np.array_equal(leaves[0], leaves[1])
+    with pytest.raises(JobFailed, match=r"no seed 7; it has \[0, 3, 1\]"):
+        of_seed(run.checkpoint(), 7)
+
+
+def test_a_checkpoint_is_for_the_same_seeds_alone() -> None:
+    run, alone = seeds_run(PPO, probes.endless()), small_run(probes.endless(), **PPO.budget)
+    for one in (run, alone):
+        next(event for event in one.events() if isinstance(event, Progress))
+    with pytest.raises(JobFailed, match=r"seeds is \[0, 3, 1\] in the checkpoint and \[0, 1\] in this job"):
+        seeds_run(PPO, probes.endless(), seeds=[0, 1], resume=run.checkpoint())
+    with pytest.raises(JobFailed, match=r"seeds is \[0, 3, 1\] in the checkpoint and None in this job"):
+        small_run(probes.endless(), resume=run.checkpoint(), **PPO.budget)
+    with pytest.raises(JobFailed, match=r"seeds is None in the checkpoint and \[0, 3, 1\] in this job"):
+        seeds_run(PPO, probes.endless(), resume=alone.checkpoint())
+
+
+def test_tables_are_not_trained_with_several_seeds() -> None:
+    settings = q_settings()
+    with pytest.raises(Rejected, match="its `agents` learn side by side already") as refused:
+        make_seeds_run(probes.endless(), settings, seeds=SEEDS, checkpoint_every_steps=None)
+    assert [problem.pointer for problem in refused.value.problems] == ["/seeds"]
+
+
+class Unlucky(probes.Probe):
+    """Each episode observes one number between 0 and 1; above the bound, its rewards are no numbers."""
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        return replace(super().reset(key, model), obs=jax.random.uniform(key, (1,)))
+
+
+def unlucky(above: float = 0.999) -> Environment:
+    return Unlucky(lambda obs, _, __: (jnp.where(obs > above, jnp.nan, obs), jnp.zeros(())))
+
+
+# A seed has some 600 episodes, and one in a thousand is bad: some of these seeds meet it, and some do not.
+MANY = list(range(4))
+
+
+def test_a_seed_that_diverges_ends_as_its_own_run_and_costs_the_others_nothing() -> None:
+    run = seeds_run(PPO, unlucky(), MANY, num_evals=0)
+    events = list(run.events())
+    told = {event.seed: event for event in events if isinstance(event, SeedDiverged)}
+    assert 0 < len(told) < len(MANY)
+    assert len(told) == sum(isinstance(event, SeedDiverged) for event in events)
+    for seed in MANY:
+        alone = small_run(unlucky(), seed=seed, **{**PPO.budget, "num_evals": 0})
+        if seed in told:
+            with pytest.raises(JobFailed) as failed:
+                list(alone.events())
+            assert failed.value.facts == {"step": told[seed].step, "quantity": told[seed].quantity}
+            assert failed.value.detail == told[seed].detail
+        else:
+            list(alone.events())
+        assert run.step_of(seed) == alone.step
+        (_, mine), (_, its) = (
+            PPO_FORMAT.read(content) for content in (of_seed(run.checkpoint(), seed), alone.checkpoint())
+        )
+        for one, other in zip(jax.tree.leaves(mine), jax.tree.leaves(its), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-2, atol=2e-2)
+    assert events[-1] == CheckpointReady(run.total)
+    last = next(event for event in reversed(events) if isinstance(event, Progress))
+    own = {int(name.split("/")[0].removeprefix("seed_")) for name in last.metrics if is_of_a_seed(name)}
+    assert own == {*MANY} - {*told}
+    assert all(np.isfinite(value) for value in last.metrics.values())
+
+
+def test_a_seed_that_has_diverged_stays_so_when_the_run_resumes() -> None:
+    whole = seeds_run(PPO, unlucky(), MANY, num_evals=0)
+    kept, told = dict[int, bytes](), list[SeedDiverged]()
+    for event in whole.events():
+        if isinstance(event, CheckpointReady):
+            kept[event.step] = whole.checkpoint()
+        if isinstance(event, SeedDiverged):
+            told.append(event)
+    for step, checkpoint in kept.items():
+        resumed = seeds_run(PPO, unlucky(), MANY, resume=checkpoint, num_evals=0)
+        again = [event for event in resumed.events() if isinstance(event, SeedDiverged)]
+        assert again == [event for event in told if event.step > step]
+        assert resumed.checkpoint() == whole.checkpoint()
+
+
+def test_a_run_whose_seeds_all_diverge_has_diverged() -> None:
+    run = seeds_run(PPO, unlucky(above=0.0), num_evals=0)
+    events = list[Event]()
+    with pytest.raises(JobFailed, match="Every seed has diverged, seed 1 as the last: The ") as failed:
+        events.extend(run.events())
+    assert failed.value.reason == Reason.DIVERGED
+    assert [event.seed for event in events if isinstance(event, SeedDiverged)] == SEEDS
+    assert run.step == 0
+    with pytest.raises(JobFailed, match="Every seed of the checkpoint has diverged"):
+        seeds_run(PPO, unlucky(), resume=run.checkpoint(), num_evals=0)
