@@ -53,20 +53,23 @@ READERS: dict[str, Callable[[], Reader]] = {
 _EXPORTED = ("ppo", "sac")
 
 
-def file_of(job: JobView, step: int | None, best: bool) -> ArtifactView:
+def file_of(job: JobView, step: int | None, best: bool, seed: int | None) -> ArtifactView:
     """The file to load: that of this checkpoint, or of the best policy, or of the last one.
 
-    Raises NotFound; and ValueError where both `step` and `best` are given.
+    seed: whose, of several; by default the first's. Raises NotFound; and ValueError where both `step` and
+    `best` are given.
     """
     if best and step is not None:
         raise ValueError("A policy is that of a step or the best one: give one of the two.")
-    own = job.newest("best_policy" if best else "policy") if step is None else None
+    own = job.newest("best_policy" if best else "policy", seed=seed) if step is None else None
     if own is not None:
         if algorithm_of(job) not in _EXPORTED:
             return own
         exported = job.artifact(f"{own.name}.npz")
         if exported is not None and exported.step == own.step:
             return exported
+    if job.seeds:
+        raise _absent(job, "such policy for each seed, and its checkpoints hold those of all: roll one out")
     checkpoint = None if best and own is None else job.newest("checkpoint", own.step if own else step)
     if checkpoint is not None:
         return checkpoint

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Literal
-from urllib.parse import quote
+from urllib.parse import urlencode
 
 import httpx
 
@@ -144,38 +144,57 @@ class AsyncFiles(AsyncJobs, AsyncCatalog, AsyncDownloads):
         path: str | Path | None = None,
         step: int | None = None,
         *,
+        seed: int | None = None,
         on_bytes: OnBytes | None = None,
     ) -> Path:
-        """Download the job's video as an MP4 to `path`; step: of this checkpoint, not the newest."""
-        return await self._newest(job_id, "video", path, step, on_bytes)
+        """Download the job's video as an MP4 to `path`; step: of this checkpoint, not the newest.
 
-    async def poster(self, job_id: str, path: str | Path | None = None, step: int | None = None) -> Path:
+        seed: whose, of several; by default the first's.
+        """
+        return await self._newest(job_id, "video", path, step, seed, on_bytes)
+
+    async def poster(
+        self, job_id: str, path: str | Path | None = None, step: int | None = None, *, seed: int | None = None
+    ) -> Path:
         """Download a still of the video."""
-        return await self._newest(job_id, "poster", path, step, None)
+        return await self._newest(job_id, "poster", path, step, seed, None)
 
     async def _newest(
-        self, job_id: str, role: str, path: str | Path | None, step: int | None, on_bytes: OnBytes | None
+        self,
+        job_id: str,
+        role: str,
+        path: str | Path | None,
+        step: int | None,
+        seed: int | None,
+        on_bytes: OnBytes | None,
     ) -> Path:
         job_id = await self._full_id(job_id)
-        href = path_of("jobs", job_id, role) + ("" if step is None else f"?step={step}")
-        artifact = await self._announced(job_id, lambda job: job.newest(role, step), href)
+        href = _with_query(path_of("jobs", job_id, role), step=step, seed=seed)
+        artifact = await self._announced(job_id, lambda job: job.newest(role, step, seed), href)
         return await self._download(artifact, target(artifact.name, path), on_bytes)
 
     async def load_policy(
-        self, job_id: str, step: int | None = None, deterministic: bool = True, *, best: bool = False
+        self,
+        job_id: str,
+        step: int | None = None,
+        deterministic: bool = True,
+        *,
+        best: bool = False,
+        seed: int | None = None,
     ) -> policy.Policy:
         """The trained policy as a jitted function: `act(observation, key=None)` on arrays [..., size].
 
         It returns an action; of Q-learning the columns chosen (docs/q_learning.md), each to be held for
         `decision_steps` steps.
         step: the policy of this checkpoint; by default the final one, or that of the newest checkpoint if the
-        job has no final one yet. best: the policy whose evaluation had the highest return, instead.
+        job has no final one yet. best: the policy whose evaluation had the highest return, instead. seed:
+        whose, of several, by default the first's; they have no policy of a checkpoint.
         deterministic: without exploration noise (otherwise `key` is needed). Call a policy that was trained
         with `action_repeat` once every `action_repeat` steps, and hold its action.
         Raises MissingExtra without the `policy` extra, and PolicyUnreadable.
         """
         job = await self.get(job_id)
-        artifact = policy.file_of(job, step, best)
+        artifact = policy.file_of(job, step, best, seed)
         with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
             path = await self._download(artifact, Path(folder) / "policy")
             return await async_run(
@@ -195,20 +214,22 @@ class AsyncFiles(AsyncJobs, AsyncCatalog, AsyncDownloads):
         path: str | Path | None = None,
         *,
         best: bool = False,
+        seed: int | None = None,
         on_bytes: OnBytes | None = None,
     ) -> Path:
         """Download the final policy for programs without this package, to `path` (docs/export.md).
 
         format: `numpy`, `policy.npz`, which `gaitway.exported_policy` reads with NumPy alone; or `onnx`,
         `policy.onnx` for any ONNX runtime. best: the policy whose evaluation had the highest return, instead:
-        `policy-best.npz` or `policy-best.onnx`. Raises NotReady until the job has ended (the artifact
-        `policy.npz` is the newest checkpoint's until then), and Rejected for the tables of Q-learning.
+        `policy-best.npz` or `policy-best.onnx`. seed: whose, of several, by default the first's:
+        `policy-seed-<n>.npz`. Raises NotReady until the job has ended (the artifact `policy.npz` is the
+        newest checkpoint's until then), and Rejected for the tables of Q-learning.
         """
         job_id = await self._full_id(job_id)
-        href = f"{path_of('jobs', job_id, 'policy')}?format={quote(format)}" + ("&which=best" if best else "")
-        name = f"{'policy-best' if best else 'policy'}.{_ENDINGS.get(format, '')}"
-        role = "best_policy" if best else "policy"
-        artifact = await self._announced(job_id, lambda job: _finished(job, name, role), href)
+        which = "best" if best else None
+        href = _with_query(path_of("jobs", job_id, "policy"), format=format, which=which, seed=seed)
+        ending = _ENDINGS.get(format, "")
+        artifact = await self._announced(job_id, lambda job: _finished(job, ending, best, seed), href)
         return await self._download(artifact, target(artifact.name, path), on_bytes)
 
     async def export(self, job_id: str, path: str | Path | None = None) -> Path:
@@ -256,9 +277,17 @@ class AsyncFiles(AsyncJobs, AsyncCatalog, AsyncDownloads):
         return artifact
 
 
-def _finished(job: JobView, name: str, role: str) -> ArtifactView | None:
-    """The file of this name, if it is of the policy with this role; there may be one of an older policy."""
-    found, own = job.artifact(name), job.newest(role)
+def _with_query(href: str, **query: str | int | None) -> str:
+    given = {name: value for name, value in query.items() if value is not None}
+    return f"{href}?{urlencode(given)}" if given else href
+
+
+def _finished(job: JobView, ending: str, best: bool, seed: int | None) -> ArtifactView | None:
+    """The policy in the form with this ending, if it is that of the policy's own file, and no older one."""
+    stem = "policy-best" if best else "policy"
+    if job.seeds:
+        stem = f"{stem}-seed-{job.seeds[0] if seed is None else seed}"
+    found, own = job.artifact(f"{stem}.{ending}"), job.newest("best_policy" if best else "policy", seed=seed)
     if found is None or own is None:
         return found if job.is_final else None
     return found if found.step == own.step else None

@@ -18,22 +18,30 @@ Output = Annotated[
     Path | None, typer.Option("--output", "-o", help="A file or a folder; by default the current one.")
 ]
 
+OfSeed = Annotated[
+    int | None, typer.Option("--seed", help="Whose, of a job with several seeds; by default the first's.")
+]
+
 
 def video(
     context: typer.Context,
     job: JobName,
     output: Output = None,
     step: Annotated[int | None, typer.Option(help="The video of the checkpoint with this step.")] = None,
+    seed: OfSeed = None,
     as_json: AsJson = False,
 ) -> None:
     """Fetch a job's video as an MP4."""
     client = client_of(context)
     full_id = job_id(client, job)
-    target = output or Path(f"{full_id}{'' if step is None else f'-{step}'}.mp4")
-    _told(_with_bar(lambda on_bytes: client.video(full_id, target, step, on_bytes=on_bytes)), as_json)
+    suffix = ("" if step is None else f"-{step}") + ("" if seed is None else f"-seed-{seed}")
+    target = output or Path(f"{full_id}{suffix}.mp4")
+    _told(
+        _with_bar(lambda on_bytes: client.video(full_id, target, step, seed=seed, on_bytes=on_bytes)), as_json
+    )
 
 
-def export(
+def export(  # noqa: PLR0913 # A command line's options.
     context: typer.Context,
     job: JobName,
     format: Annotated[
@@ -46,6 +54,7 @@ def export(
     best: Annotated[
         bool, typer.Option("--best", help="The policy of the best evaluation, not the last one.")
     ] = False,
+    seed: OfSeed = None,
     output: Output = None,
     as_json: AsJson = False,
 ) -> None:
@@ -53,13 +62,15 @@ def export(
     client = client_of(context)
     full_id = job_id(client, job)
     if format == "zip":
-        if best:
-            raise wrong_usage("A zip has all of the job's policies: leave out --best.")
+        if best or seed is not None:
+            raise wrong_usage("A zip has all of the job's policies: leave out --best and --seed.")
         _told(client.export(full_id, output), as_json)
         return
     _told(
         _with_bar(
-            lambda on_bytes: client.export_policy(full_id, format, output, best=best, on_bytes=on_bytes)
+            lambda on_bytes: client.export_policy(
+                full_id, format, output, best=best, seed=seed, on_bytes=on_bytes
+            )
         ),
         as_json,
     )

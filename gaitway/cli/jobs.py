@@ -152,12 +152,14 @@ def _lines(job: JobView) -> list[str]:
     return lines + [f"  {name + ':':<11}{value}" for name, value in facts.items() if value]
 
 
-def _best(job: JobView) -> str | None:
-    """The best evaluation, whose policy is kept."""
-    found = job.newest("best_policy")
-    if found is None:
-        return None
-    return f"return {_number(found.metadata.get('return'))} at step {found.step or 0:,} ({found.name})"
+def _best(job: JobView) -> str:
+    """The best evaluation, of each seed, whose policy is kept."""
+    found = [job.newest("best_policy", seed=seed) for seed in job.seeds or [None]]
+    return ", ".join(
+        f"return {_number(one.metadata.get('return'))} at step {one.step or 0:,} ({one.name})"
+        for one in found
+        if one is not None
+    )
 
 
 def _number(value: Any) -> str:

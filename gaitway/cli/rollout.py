@@ -20,7 +20,12 @@ def rollout(  # noqa: PLR0913 # A command line's options.
     ] = False,
     episodes: Annotated[int | None, typer.Option(min=1, help="How many; by default one.")] = None,
     num_steps: Annotated[int | None, typer.Option(min=1, help="The most steps of an episode.")] = None,
-    seed: Annotated[int | None, typer.Option()] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Of the episodes' starts; see --policy-seed for whose policy acts.")
+    ] = None,
+    policy_seed: Annotated[
+        int | None, typer.Option(help="Whose policy, of a job with several seeds; by default the first's.")
+    ] = None,
     name: Annotated[str | None, typer.Option()] = None,
     no_video: Annotated[bool, typer.Option("--no-video", help="Make no video.")] = False,
     assignments: Assignments = None,
@@ -35,6 +40,7 @@ def rollout(  # noqa: PLR0913 # A command line's options.
     policy: dict[str, Any] = {"kind": "checkpoint", "job": full_id}
     policy |= {} if step is None else {"step": step}
     policy |= {"which": "best"} if best else {}
+    policy |= {} if policy_seed is None else {"seed": policy_seed}
     said = {"num_episodes": episodes, "num_steps": num_steps, "seed": seed, "name": name}
     spec: dict[str, Any] = {"kind": "rollout", "policy": policy}
     spec |= {field: value for field, value in said.items() if value is not None}

@@ -18,8 +18,17 @@ from gaitway.schema import JobView
 # The fields of a job; every other name in `--set` is an option of its environment.
 JOB_FIELDS = frozenset(
     {
-        *("kind", "name", "labels", "environment", "physics", "randomization", "seed", "video", "resources"),
-        *("priority", "timeout_s", "max_attempts", "algorithm", "checkpoints", "resume_from", "tracking"),
+        *("kind", "name", "labels", "environment", "physics", "randomization", "seed", "seeds", "video"),
+        *(
+            "resources",
+            "priority",
+            "timeout_s",
+            "max_attempts",
+            "algorithm",
+            "checkpoints",
+            "resume_from",
+            "tracking",
+        ),
         *("policy", "num_steps", "num_episodes", "deterministic"),
     }
 )
@@ -50,6 +59,9 @@ def submit(  # noqa: PLR0913 # A command line's options.
         typer.Option(help="Environment steps to train for (algorithms with num_timesteps)."),
     ] = None,
     seed: Annotated[int | None, typer.Option()] = None,
+    seeds: Annotated[
+        str | None, typer.Option(metavar="N,N,…", help="Several, trained side by side in one job.")
+    ] = None,
     name: Annotated[str | None, typer.Option()] = None,
     label: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
     camera: Annotated[
@@ -80,7 +92,11 @@ def submit(  # noqa: PLR0913 # A command line's options.
     of_video = {"video.cameras": cameras, "video.episodes": episodes, "video.show": show}
     if no_video:
         _leave_out_the_video(spec, of_video)
-    _put_given(spec, {"seed": seed, "name": name, "algorithm.num_timesteps": num_timesteps, **of_video})
+    several = [_value(one) for one in seeds.split(",")] if seeds else None
+    _put_given(
+        spec,
+        {"seed": seed, "seeds": several, "name": name, "algorithm.num_timesteps": num_timesteps, **of_video},
+    )
     if label:
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
     for text in assignments or ():

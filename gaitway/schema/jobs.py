@@ -120,12 +120,22 @@ class JobView(View):
         """The file of this name."""
         return next((artifact for artifact in self.artifacts if artifact.name == name), None)
 
-    def newest(self, role: str, step: int | None = None) -> ArtifactView | None:
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds that it trains side by side; empty for one that trains a single seed, or none."""
+        return self.spec.get("seeds") or []
+
+    def newest(self, role: str, step: int | None = None, seed: int | None = None) -> ArtifactView | None:
         """The artifact of this role with the highest step, or of exactly `step`.
 
-        One without a step was made at the end.
+        One without a step was made at the end. seed: whose, of several; by default the first's.
         """
-        fitting = [a for a in self.artifacts if a.role == role and step in (None, a.step)]
+        wanted = self.seeds[0] if seed is None and self.seeds else seed
+        fitting = [
+            a
+            for a in self.artifacts
+            if a.role == role and step in (None, a.step) and a.metadata.get("seed", wanted) == wanted
+        ]
         return max(fitting, key=lambda a: float("inf") if a.step is None else a.step, default=None)
 
     def __repr__(self) -> str:
