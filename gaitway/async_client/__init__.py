@@ -1,7 +1,8 @@
 """The client of a service; `.ci/make_client.py` makes `gaitway.client` from `gaitway.async_client`."""
 
+from functools import partial
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import httpx
 
@@ -50,6 +51,10 @@ class AsyncClient(AsyncFiles, AsyncSweeps):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy, also one in another process, has connections of its own."""
+        return partial(type(self), self.base_url, timeout_s=self._timeout_s, retry=self._retry), ()
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.base_url!r})"

@@ -1,7 +1,9 @@
 """The client against a service that breaks connections, refuses, and lies."""
 
+import copy
 import hashlib
 import json
+import pickle
 import socket
 import time
 from pathlib import Path
@@ -68,6 +70,15 @@ def test_a_submission_whose_answer_was_lost_is_repeated_with_the_same_key() -> N
     assert len(keys) == 3
     assert len(set(keys)) == 1
     assert json.loads(service.requests[0].body) == {"kind": "train", "environment": "ant"}
+
+
+def test_a_job_can_be_copied_and_sent_to_another_process() -> None:
+    with scripted(lambda *_: job("succeeded")) as service:
+        read = service.client.get(ID)
+        for copied in (copy.deepcopy(read), pickle.loads(pickle.dumps(read))):  # noqa: S301
+            assert copied.model_dump() == read.model_dump()
+            assert copied.wait(timeout=5).succeeded
+            copied._client.close()
 
 
 def test_two_submissions_have_two_keys() -> None:
