@@ -7,23 +7,16 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
-from core.algorithms.dqn import checks as dqn_checks
-from core.algorithms.dqn import memory as dqn_memory
-from core.algorithms.dqn.spec import DQNSpec
-from core.algorithms.dqn.tuned import catalog as dqn_tuned
+from core.algorithms.dqn import spec as dqn
+from core.algorithms.dqn import tuned as dqn_tuned
 from core.algorithms.memory import Memory
-from core.algorithms.ppo import checks as ppo_checks
-from core.algorithms.ppo import memory as ppo_memory
-from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.tuned import catalog as ppo_tuned
-from core.algorithms.q_learning import checks as q_learning_checks
-from core.algorithms.q_learning import memory as q_learning_memory
+from core.algorithms.ppo import spec as ppo
+from core.algorithms.ppo import tuned as ppo_tuned
+from core.algorithms.q_learning import checks as q_learning
+from core.algorithms.q_learning import tuned as q_learning_tuned
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.q_learning.tuned import catalog as q_learning_tuned
-from core.algorithms.sac import checks as sac_checks
-from core.algorithms.sac import memory as sac_memory
-from core.algorithms.sac.spec import SACSpec
-from core.algorithms.sac.tuned import catalog as sac_tuned
+from core.algorithms.sac import spec as sac
+from core.algorithms.sac import tuned as sac_tuned
 from core.algorithms.spec import BaseSpec
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
@@ -40,7 +33,7 @@ def _default_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> 
 
 
 AlgorithmSpec = Annotated[
-    PPOSpec | DQNSpec | QLearningSpec | SACSpec,
+    ppo.PPOSpec | dqn.DQNSpec | QLearningSpec | sac.SACSpec,
     Field(discriminator="kind"),
     WrapValidator(_default_unless_it_says),
 ]
@@ -76,42 +69,42 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
     row.spec.algorithm(): row
     for row in (
         AlgorithmInfo(
-            PPOSpec,
-            "core.algorithms.ppo.algorithm:PPO",
+            ppo.PPOSpec,
+            "core.algorithms.ppo.learner:PPO",
             "core.algorithms.ppo.policy:load",
             ppo_tuned.tuned,
-            ppo_checks.refusal,
-            ppo_memory.least_memory,
+            ppo.refusal,
+            ppo.least_memory,
             no_export=None,
         ),
         AlgorithmInfo(
-            DQNSpec,
-            "core.algorithms.dqn.algorithm:DQN",
+            dqn.DQNSpec,
+            "core.algorithms.dqn.learner:DQN",
             "core.algorithms.dqn.policy:load",
             dqn_tuned.tuned,
-            dqn_checks.refusal,
-            dqn_memory.least_memory,
+            dqn.refusal,
+            dqn.least_memory,
             dqn_tuned.environment_options,
             "its network values the choices of an action set, and only the environment turns these into "
             "actions. `client.load_policy` gives the choices",
         ),
         AlgorithmInfo(
             QLearningSpec,
-            "core.algorithms.q_learning.algorithm:QLearning",
-            "core.algorithms.q_learning.policy:load",
+            "core.algorithms.q_learning.learner:QLearning",
+            "core.algorithms.q_learning.table:load",
             q_learning_tuned.tuned,
-            q_learning_checks.refusal,
-            q_learning_memory.least_memory,
+            q_learning.refusal,
+            q_learning.least_memory,
             q_learning_tuned.environment_options,
             "it is a table and no network. The artifact `tables.npz` of an ended job is that table",
         ),
         AlgorithmInfo(
-            SACSpec,
-            "core.algorithms.sac.algorithm:SAC",
+            sac.SACSpec,
+            "core.algorithms.sac.learner:SAC",
             "core.algorithms.sac.policy:load",
             sac_tuned.tuned,
-            sac_checks.refusal,
-            sac_memory.least_memory,
+            sac.refusal,
+            sac.least_memory,
             no_export=None,
         ),
     )

@@ -1,6 +1,6 @@
 """From what is seen of an environment to a row of a table, or to one for each arm.
 
-As `core.algorithms.q_learning.state_discretizers`, which says what each kind is.
+As `core.algorithms.q_learning.discrete_env`, which says what each kind is.
 """
 
 from collections.abc import Callable, Mapping, Sequence

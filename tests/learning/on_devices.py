@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from core.algorithms.ppo.checkpoint import FORMAT
+from core.algorithms.ppo.learner import FORMAT
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.physics.choose import engine_builder

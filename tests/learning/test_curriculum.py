@@ -13,9 +13,9 @@ from core.algorithms.catalog import resolve
 from core.algorithms.checkpoint import kind_of
 from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.events import Progress
-from core.algorithms.ppo.checkpoint import FORMAT as PPO_FORMAT
+from core.algorithms.ppo.learner import FORMAT as PPO_FORMAT
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.q_learning.options import ActionList
+from core.algorithms.q_learning.spec import ActionList
 from core.algorithms.run import Run
 from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
 from core.algorithms.sac.spec import SACSpec

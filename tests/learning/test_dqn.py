@@ -13,7 +13,7 @@ from core.algorithms.dqn.network import QNetwork
 from core.algorithms.dqn.policy import FORMAT
 from core.algorithms.events import Progress
 from core.algorithms.policy import load_policy
-from core.algorithms.q_learning.action_sets import make_action_set
+from core.algorithms.q_learning.discrete_env import make_action_set
 from core.algorithms.run import Run
 from core.environments.rollout import Roller
 from core.errors import JobFailed, Rejected

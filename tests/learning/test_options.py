@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from core.algorithms.events import Progress
-from core.algorithms.ppo.checkpoint import FORMAT
+from core.algorithms.ppo.learner import FORMAT
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.policy import policy_from_checkpoint
 from core.algorithms.run import Run

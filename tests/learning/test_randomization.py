@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from core.algorithms.events import Progress
-from core.algorithms.ppo.checkpoint import FORMAT
+from core.algorithms.ppo.learner import FORMAT
 from core.algorithms.run import Run
 from core.environments import catalog
 from core.environments.environment import Environment

@@ -11,7 +11,7 @@ import pytest
 from core.algorithms.checkpoint import Format
 from core.algorithms.dqn.policy import FORMAT as DQN_FORMAT
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
-from core.algorithms.ppo.checkpoint import FORMAT as PPO_FORMAT
+from core.algorithms.ppo.learner import FORMAT as PPO_FORMAT
 from core.algorithms.run import Run
 from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
 from core.errors import JobFailed

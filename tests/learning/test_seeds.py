@@ -21,7 +21,7 @@ from core.algorithms.events import (
     metric_of_seed,
 )
 from core.algorithms.policy import policy_from_checkpoint
-from core.algorithms.ppo.checkpoint import FORMAT as PPO_FORMAT
+from core.algorithms.ppo.learner import FORMAT as PPO_FORMAT
 from core.algorithms.run import Run
 from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
 from core.algorithms.seeds import SeedsRun, make_seeds_run

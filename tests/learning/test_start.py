@@ -10,12 +10,11 @@ from typing import Any
 import pytest
 
 from core.algorithms.compiled_functions import trace
-from core.algorithms.dqn.algorithm import DQN
-from core.algorithms.dqn.update import Learner as DQNLearner
-from core.algorithms.ppo.algorithm import PPO
-from core.algorithms.ppo.update import Learner
-from core.algorithms.sac.algorithm import SAC
-from core.algorithms.sac.update import Learner as SACLearner
+from core.algorithms.dqn.learner import DQN
+from core.algorithms.dqn.learner import Learner as DQNLearner
+from core.algorithms.ppo.learner import PPO, Learner
+from core.algorithms.sac.learner import SAC
+from core.algorithms.sac.learner import Learner as SACLearner
 from tests import probes
 from tests.compiling import compiling_quickly
 from tests.learning.dqn_runs import dqn_settings

@@ -1,4 +1,4 @@
-"""The network, and how it acts."""
+"""The network, how it acts, and what it learns from."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,11 +6,13 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
+import optax
 from jaxtyping import Array, Float, Int
 
 from core.algorithms.brax_training import networks
 from core.algorithms.evaluation import Policy
 from core.algorithms.exploration import Scalar, epsilon_greedy, greedy
+from core.algorithms.off_policy.replay import Sample
 from core.environments.discretization import ActionSet
 
 
@@ -60,3 +62,26 @@ def acting(
         return jax.vmap(action_set.act)(choices), {"action": choices.astype(jnp.float32)}
 
     return act
+
+
+def td_loss(params: Any, target: Any, network: QNetwork, batch: Sample) -> tuple[Scalar, dict[str, Scalar]]:
+    """Huber's loss of the TD errors, and the mean value and size of error for the metrics.
+
+    Each part of the body learns from the same reward and its own best next choice, as the arms of a table
+    do. The network that learns says which choice is best, and `target`, which follows it, what that is worth.
+    batch: normalised observations, scaled rewards; actions are choices [B, parts].
+    Source: van Hasselt et al., Deep Reinforcement Learning with Double Q-learning (2016), eq. 4; Mnih et al.,
+    Human-level control through deep reinforcement learning (2015), whose errors are clipped, as Huber's
+    gradient is.
+    """
+    best = greedy(network.values(params, batch.next_observation))
+    follows = _of(network.values(target, batch.next_observation), best)
+    wanted = jax.lax.stop_gradient(batch.reward[:, None] + batch.discount[:, None] * follows)
+    expected = _of(network.values(params, batch.observation), batch.action.astype(jnp.int32))
+    loss = jnp.mean(batch.weight[:, None] * optax.huber_loss(expected, wanted))
+    error = jnp.mean(batch.weight[:, None] * jnp.abs(wanted - expected))
+    return loss, {"loss": loss, "q_value": jnp.mean(expected), "td_error": error}
+
+
+def _of(values: Float[Array, "B parts choices"], choices: Int[Array, "B parts"]) -> Float[Array, "B parts"]:
+    return jnp.take_along_axis(values, choices[..., None], axis=-1)[..., 0]

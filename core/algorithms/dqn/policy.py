@@ -12,8 +12,8 @@ from core.algorithms.brax_training import RunningStatisticsState
 from core.algorithms.checkpoint import Format
 from core.algorithms.dqn.network import QNetwork
 from core.algorithms.normalizer import init_normalizer, normalization
-from core.algorithms.q_learning.action_sets import make_action_set
-from core.algorithms.q_learning.options import ActionSetOptions
+from core.algorithms.q_learning.discrete_env import make_action_set
+from core.algorithms.q_learning.spec import ActionSetOptions
 from core.algorithms.trained_policy import Acting, TrainedPolicy
 from core.environments.discretization import ActionSet
 from core.environments.environment import Environment, State

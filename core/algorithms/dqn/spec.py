@@ -1,13 +1,17 @@
-"""The deep Q-network's hyperparameters."""
+"""The deep Q-network's hyperparameters, which of them go together, and the least memory of a run."""
 
 from typing import ClassVar, Literal
 
 from pydantic import Field
 
 from core.algorithms.epsilon import EpsilonSchedule
-from core.algorithms.off_policy.spec import OffPolicySpec
+from core.algorithms.memory import FLOAT_BYTES, Memory, Part, perceptron
+from core.algorithms.off_policy.spec import OffPolicySpec, environments_part, replay_part, replay_refusal
 from core.algorithms.ppo.spec import LayerSizes
-from core.algorithms.q_learning.options import ActionSetOptions
+from core.algorithms.q_learning.checks import problems_of_the_actions
+from core.algorithms.q_learning.spec import ActionSetOptions, choice_space
+from core.environments.info import Device, EnvironmentInfo, FiniteSpace
+from core.errors import Rejected
 
 
 class DQNSpec(OffPolicySpec):
@@ -61,3 +65,51 @@ class DQNSpec(OffPolicySpec):
     learning_rate: float = Field(default=1e-3, gt=0, le=1, description="Adam's.")
     epsilon: EpsilonSchedule = EpsilonSchedule(start=1.0)
     hidden_layer_sizes: LayerSizes = [64, 64]
+
+
+def refusal(settings: DQNSpec, environment: EnvironmentInfo, device: Device) -> Rejected | None:
+    """Why these values do not go together, or not with this environment; None where they do."""
+    problems = [
+        *problems_of_the_actions(
+            settings.action_set, environment, "the network has an output for each choice"
+        ),
+        *settings.epsilon.problems(settings.num_actions),
+    ]
+    if problems:
+        return Rejected(" ".join(problem.detail for problem in problems), problems)
+    return replay_refusal(settings, environment, num_parts(settings, environment))
+
+
+# The parameters, their gradient, Adam's two moments, and the network that follows.
+_COPIES = 5
+_NOTHING = FiniteSpace(0, 0)
+
+
+def least_memory(settings: DQNSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
+    """Bytes, all in float32. Left out: the engine's own arrays, and activations. Unknown sizes count as 0."""
+    space = _choices(settings, environment)
+    outputs = space.num_parts * space.num_values
+    network = perceptron([environment.observation_size or 0, *settings.hidden_layer_sizes, outputs])
+    return Memory(
+        (
+            replay_part(settings, environment, space.num_parts),
+            Part(
+                f"a network of {network:,} parameters with its gradient, Adam's moments and the network that "
+                "follows",
+                FLOAT_BYTES * _COPIES * network,
+                ("hidden_layer_sizes",),
+            ),
+            environments_part(settings, environment),
+        )
+    )
+
+
+def num_parts(settings: DQNSpec, environment: EnvironmentInfo) -> int:
+    """How many parts of the body choose for themselves; 0 where that is not known."""
+    return _choices(settings, environment).num_parts
+
+
+def _choices(settings: DQNSpec, environment: EnvironmentInfo) -> FiniteSpace:
+    """A run without choices, which is refused elsewhere, has none."""
+    space = choice_space(settings.action_set, environment) if settings.action_set is not None else None
+    return space or _NOTHING

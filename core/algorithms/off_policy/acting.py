@@ -1,4 +1,4 @@
-"""The first half of an update: environments act, and what they see is kept."""
+"""The first half of an update: environments act, and what they see is kept; and an epoch's metrics."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
@@ -123,3 +123,15 @@ def _rows(transitions: Transition, outcome: Outcome) -> replays.Rows:
         ended=outcome.fell,
         truncated=extras["state_extras"]["truncation"],
     )
+
+
+def training_metrics(sums: Mapping[str, Any], num_updates: int, action_repeat: int) -> dict[str, float]:
+    """By Brax's names, of sums over `num_updates` updates; lengths are in environment steps."""
+    values = {name: float(value) for name, value in sums.items()}
+    episodes, score, length, falls = (values.pop(name) for name in ("episodes", "score", "length", "falls"))
+    metrics = {f"training/{name}": value / num_updates for name, value in values.items()}
+    if episodes:
+        metrics["training/episode_reward"] = score / episodes
+        metrics["training/episode_length"] = length / episodes * action_repeat
+        metrics["training/fall_rate"] = falls / episodes
+    return metrics

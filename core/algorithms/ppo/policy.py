@@ -10,7 +10,7 @@ from flax import serialization
 from core.algorithms.brax_training import make_inference_fn
 from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, Triple, config_of, read_policy
-from core.algorithms.ppo.checkpoint import FORMAT
+from core.algorithms.ppo.learner import FORMAT
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.trained_policy import TrainedPolicy, of_network

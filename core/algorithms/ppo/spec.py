@@ -1,10 +1,16 @@
-"""PPO's hyperparameters, by Brax's names and under Brax's constraints (brax.training.agents.ppo.train)."""
+"""PPO's hyperparameters, by Brax's names and under Brax's constraints (brax.training.agents.ppo.train).
+
+Also which of them go together, and the least memory of a run.
+"""
 
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from core.algorithms.memory import FLOAT_BYTES, Memory, Part, perceptron
 from core.algorithms.spec import BaseSpec
+from core.algorithms.starts import unreachable_curriculum
+from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
 Activation = Literal["swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus"]
@@ -215,3 +221,90 @@ class PPOSpec(BaseSpec):
         ]
         if problems:
             raise Rejected(" ".join(problem.detail for problem in problems), problems)
+
+
+def refusal(settings: PPOSpec, environment: EnvironmentInfo, device: Device) -> Rejected | None:
+    """Why these values do not go together, or not with this environment; None where they do."""
+    return (
+        _uneven_batch(settings, device)
+        or _crossed_learning_rates(settings)
+        or _unknown_observation(settings, environment)
+        or unreachable_curriculum(settings.reset_pool_size, environment)
+    )
+
+
+def _uneven_batch(settings: PPOSpec, device: Device) -> Rejected | None:
+    unrolls = settings.batch_size * settings.num_minibatches
+    if unrolls % settings.num_envs == 0:
+        return None
+    return Rejected(
+        f"On a {device.upper()}, batch_size × num_minibatches = {settings.batch_size} × "
+        f"{settings.num_minibatches} = {unrolls} is not a multiple of num_envs = {settings.num_envs}; "
+        f"every environment must contribute the same number of unrolls to a batch.",
+        [
+            Problem(f"/algorithm/{name}", f"{getattr(settings, name)} does not go together with the others.")
+            for name in ("batch_size", "num_minibatches", "num_envs")
+        ],
+    )
+
+
+def _crossed_learning_rates(settings: PPOSpec) -> Rejected | None:
+    lowest, highest = settings.learning_rate_schedule_min_lr, settings.learning_rate_schedule_max_lr
+    if lowest <= highest:
+        return None
+    detail = (
+        f"learning_rate_schedule_min_lr = {lowest:g} is above learning_rate_schedule_max_lr = {highest:g}."
+    )
+    names = ("learning_rate_schedule_min_lr", "learning_rate_schedule_max_lr")
+    return Rejected(detail, [Problem(f"/algorithm/{name}", detail) for name in names])
+
+
+def _unknown_observation(settings: PPOSpec, environment: EnvironmentInfo) -> Rejected | None:
+    """The catalog's environments have one observation each, under Brax's name for it."""
+    problems = [
+        Problem(
+            f"/algorithm/{name}",
+            f"{environment.id} has one observation, 'state', and none called {key!r}.",
+        )
+        for name in ("policy_obs_key", "value_obs_key")
+        if (key := getattr(settings, name)) != "state"
+    ]
+    return Rejected(problems[0].detail, problems) if problems else None
+
+
+# Reward, discount, truncation, and the log-probability of the action.
+_SCALARS = 4
+# The parameters, their gradient, and Adam's two moments.
+_COPIES = 4
+
+
+def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
+    """Bytes on each device, all in float32.
+
+    Left out, because they cannot be bounded from below without loading the environment: the engine's own
+    arrays, activations, the next observations and the copies that XLA makes while it shuffles. Unknown
+    sizes count as 0.
+    """
+    observation, action = environment.observation_size or 0, environment.action_size or 0
+    transitions = settings.batch_size * settings.num_minibatches * settings.unroll_length // num_devices
+    numbers = observation + action + _SCALARS
+    # The policy puts out a mean and a deviation for each component.
+    parameters = perceptron([observation, *settings.policy_hidden_layer_sizes, 2 * action])
+    parameters += perceptron([observation, *settings.value_hidden_layer_sizes, 1])
+    num_envs = settings.num_envs // num_devices
+    return Memory(
+        (
+            Part(
+                f"the {transitions:,} transitions of one update",
+                FLOAT_BYTES * transitions * numbers,
+                ("batch_size", "num_minibatches", "unroll_length"),
+            ),
+            Part(
+                f"networks of {parameters:,} parameters with their gradient and Adam's moments",
+                FLOAT_BYTES * _COPIES * parameters,
+                ("policy_hidden_layer_sizes", "value_hidden_layer_sizes"),
+            ),
+            # Their observations; the rest of their state depends on the model.
+            Part(f"{num_envs:,} environments", FLOAT_BYTES * num_envs * (observation + 1), ("num_envs",)),
+        )
+    )

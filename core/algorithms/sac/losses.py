@@ -11,8 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from core.algorithms.off_policy.replay import Sample
-from core.algorithms.sac.critic import projected
-from core.algorithms.sac.networks import Networks, Params
+from core.algorithms.sac.networks import Networks, Params, projected
 
 Scalar = Float[Array, ""]
 

@@ -1,11 +1,23 @@
-"""SAC's hyperparameters, by Brax's names where Brax has them (brax.training.agents.sac.train)."""
+"""SAC's hyperparameters, by Brax's names where Brax has them (brax.training.agents.sac.train).
+
+Also which of them go together, and the least memory of a run.
+"""
 
 from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from core.algorithms.off_policy.spec import OffPolicySpec
+from core.algorithms.memory import FLOAT_BYTES, Memory, Part, perceptron
+from core.algorithms.off_policy.spec import (
+    OffPolicySpec,
+    environments_part,
+    rejected,
+    replay_part,
+    replay_refusal,
+)
 from core.algorithms.ppo.spec import LayerSizes
+from core.environments.info import Device, EnvironmentInfo
+from core.errors import Rejected
 
 
 class SACSpec(OffPolicySpec):
@@ -58,3 +70,45 @@ class SACSpec(OffPolicySpec):
     @property
     def read_at_start(self) -> tuple[str, ...]:
         return ("init_alpha",)
+
+
+def refusal(settings: SACSpec, environment: EnvironmentInfo, device: Device) -> Rejected | None:
+    """Why these values do not go together; None where they do."""
+    return _empty_range(settings) or replay_refusal(settings, environment, environment.action_size or 0)
+
+
+def _empty_range(settings: SACSpec) -> Rejected | None:
+    if settings.value_min < settings.value_max:
+        return None
+    return rejected(
+        f"value_min = {settings.value_min:g} is not below value_max = {settings.value_max:g}: "
+        "the critics need a range of returns.",
+        "value_min",
+        "value_max",
+    )
+
+
+_CRITICS = 2
+# The parameters, their gradient, and Adam's two moments; and the critics that follow.
+_COPIES, _COPIES_OF_CRITICS = 4, 5
+
+
+def least_memory(settings: SACSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
+    """Bytes, all in float32. Left out: the engine's own arrays, and activations. Unknown sizes count as 0."""
+    observation, action = environment.observation_size or 0, environment.action_size or 0
+    # The policy puts out a mean and a deviation for each component.
+    policy = perceptron([observation, *settings.policy_hidden_layer_sizes, 2 * action])
+    critic = perceptron([observation + action, *settings.q_hidden_layer_sizes, settings.num_atoms])
+    numbers = _COPIES * policy + _COPIES_OF_CRITICS * _CRITICS * critic
+    return Memory(
+        (
+            replay_part(settings, environment, action),
+            Part(
+                f"networks of {policy + _CRITICS * critic:,} parameters with their gradient, Adam's moments "
+                "and the critics that follow",
+                FLOAT_BYTES * numbers,
+                ("policy_hidden_layer_sizes", "q_hidden_layer_sizes"),
+            ),
+            environments_part(settings, environment),
+        )
+    )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from core.algorithms.ppo.checkpoint import FORMAT, header
+from core.algorithms.ppo.learner import FORMAT, header
 
 
 def pack(description: Mapping[str, Any], progress: Mapping[str, int], state: Any) -> bytes:

@@ -5,7 +5,7 @@ import pytest
 from flax import serialization
 
 from core.algorithms.checkpoint import Format, describe, kind_of
-from core.algorithms.ppo.checkpoint import FORMAT
+from core.algorithms.ppo.learner import FORMAT
 from core.algorithms.ppo.spec import PPOSpec
 from core.errors import JobFailed
 from tests import probes

@@ -17,10 +17,10 @@ from core.algorithms.experience import (
     summarise,
 )
 from core.algorithms.normalizer import init_normalizer
-from core.algorithms.ppo.hyperparameters import Hyperparameters
+from core.algorithms.ppo.learner import Learner, TrainingState
+from core.algorithms.ppo.loss import Hyperparameters
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.environment import Environment, State
 from core.environments.wrappers.autoreset import start_episodes
 from core.environments.wrappers.vectorized import VectorEnv

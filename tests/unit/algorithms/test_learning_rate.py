@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from brax.training.agents.ppo.optimizer import adaptive_kl_learning_rate
 
-from core.algorithms.ppo.learning_rate import adapt_to_kl
+from core.algorithms.ppo.loss import adapt_to_kl
 
 BOUNDS = (jnp.float32(1e-4), jnp.float32(1e-2))
 

@@ -8,10 +8,9 @@ from brax.training.types import Transition
 
 from core.algorithms.experience import bootstrap_timeouts
 from core.algorithms.normalizer import init_normalizer
-from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.loss import loss_of
+from core.algorithms.ppo.learner import Learner
+from core.algorithms.ppo.loss import Hyperparameters, loss_of
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.update import Learner
 from tests import probes
 
 SIZES = {

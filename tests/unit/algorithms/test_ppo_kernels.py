@@ -10,17 +10,14 @@ import pytest
 from core.algorithms.brax_training import Transition
 from core.algorithms.brax_training import networks as brax_networks
 from core.algorithms.normalizer import init_normalizer
-from core.algorithms.ppo.descent import ADAM
-from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.kernels import fitting
+from core.algorithms.ppo.kernels import layout as fitting
 from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Chosen, gradient
-from core.algorithms.ppo.kernels.layout import Layout, rounded_up
+from core.algorithms.ppo.kernels.layout import Layout, Sizes, rounded_up
 from core.algorithms.ppo.kernels.learn import _flattened, learn
-from core.algorithms.ppo.kernels.sizes import Sizes
-from core.algorithms.ppo.loss import loss_of
+from core.algorithms.ppo.learner import Learner, TrainingState
+from core.algorithms.ppo.loss import ADAM, Hyperparameters, loss_of
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.update import Learner, TrainingState
 from tests import probes
 
 OBS, ACT = 5, 3

@@ -6,12 +6,12 @@ import sys
 import pytest
 
 from core.algorithms.catalog import resolve, tuned
-from core.algorithms.dqn.tuned import catalog as dqn_tuned
+from core.algorithms.dqn import tuned as dqn_tuned
+from core.algorithms.ppo import tuned as ppo_tuned
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.tuned import catalog as ppo_tuned
-from core.algorithms.q_learning.tuned import catalog as q_learning_tuned
+from core.algorithms.q_learning import tuned as q_learning_tuned
+from core.algorithms.sac import tuned as sac_tuned
 from core.algorithms.sac.spec import SACSpec
-from core.algorithms.sac.tuned import catalog as sac_tuned
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.locomotion.ant.info import AntOptions

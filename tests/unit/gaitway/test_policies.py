@@ -25,9 +25,9 @@ from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.policy import make_inference
 from core.algorithms.ppo.spec import Activation, PPOSpec
-from core.algorithms.q_learning import policy as tables
-from core.algorithms.q_learning.options import StateDiscretizerOptions
-from core.algorithms.q_learning.state_discretizers import make_state_discretizer
+from core.algorithms.q_learning import table as tables
+from core.algorithms.q_learning.discrete_env import make_state_discretizer
+from core.algorithms.q_learning.spec import StateDiscretizerOptions
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
 from core.algorithms.sac import policy as sac
 from core.algorithms.sac.networks import make_networks as make_sac_networks

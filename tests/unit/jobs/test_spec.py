@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from core.algorithms.catalog import resolve
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.tuned.catalog import TUNED
+from core.algorithms.ppo.tuned import TUNED
 from core.environments.info import EnvironmentInfo
 from core.errors import Rejected
 from core.jobs.job import Artifact, Job

@@ -8,11 +8,9 @@ import optax
 
 from core.algorithms.brax_training import PPONetworkParams, Transition
 from core.algorithms.brax_training import networks as brax_networks
-from core.algorithms.ppo.descent import clipped, descend
-from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Batch, Chosen, gradient
-from core.algorithms.ppo.kernels.layout import Layout, rounded_up
-from core.algorithms.ppo.kernels.sizes import Sizes
+from core.algorithms.ppo.kernels.layout import Layout, Sizes, rounded_up
+from core.algorithms.ppo.loss import Hyperparameters, clipped, descend
 from core.algorithms.ppo.spec import PPOSpec
 
 Learnt = tuple[PPONetworkParams, optax.ScaleByAdamState]

@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from core.algorithms.dqn.loss import td_loss
-from core.algorithms.dqn.network import QNetwork
+from core.algorithms.dqn.network import QNetwork, td_loss
 from core.algorithms.off_policy.replay import Sample
 
 # Without hidden layers, values are kernel and bias alone: of one number seen, two parts' three choices each.

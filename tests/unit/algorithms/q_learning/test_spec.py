@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from core.algorithms.catalog import resolve
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.q_learning.tuned.catalog import TUNED_BY_OPTIONS
+from core.algorithms.q_learning.tuned import TUNED_BY_OPTIONS
 from core.algorithms.spec import check_resumption
 from core.environments import catalog
 from core.environments.info import FiniteSpace, FiniteViews

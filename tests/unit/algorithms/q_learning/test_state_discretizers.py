@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from core.algorithms.q_learning.action_sets import make_action_set
-from core.algorithms.q_learning.discrete_env import Tabular
-from core.algorithms.q_learning.options import ActionSetOptions, StateDiscretizerOptions
-from core.algorithms.q_learning.state_discretizers import make_state_discretizer
+from core.algorithms.q_learning.discrete_env import Tabular, make_action_set, make_state_discretizer
+from core.algorithms.q_learning.spec import ActionSetOptions, StateDiscretizerOptions
 from core.environments.discretization import ActionSet, Discretization, StateDiscretizer
 from core.environments.wrappers.domain_randomization import RandomizedEnvironment
 from core.errors import JobFailed

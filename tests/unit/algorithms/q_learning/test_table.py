@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from core.algorithms.q_learning import replay as replays
-from core.algorithms.q_learning.exploration import Exploration, decay_length
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.q_learning.table import Transitions, epsilon_greedy, greedy, learn, td_errors
+from core.algorithms.q_learning.table import (
+    Exploration,
+    Transitions,
+    decay_length,
+    epsilon_greedy,
+    greedy,
+    learn,
+    td_errors,
+)
 
 pytestmark = pytest.mark.usefixtures("without_rank_promotion")
 KEY = jax.random.PRNGKey(0)

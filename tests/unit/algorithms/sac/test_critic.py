@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from core.algorithms.sac.critic import NUM_CRITICS, Critics, projected
+from core.algorithms.sac.networks import NUM_CRITICS, Critics, projected
 
 ATOMS = jnp.array([0.0, 1.0, 2.0, 3.0])
 

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from core.algorithms.sac.update import Hyperparameters, Learner
+from core.algorithms.sac.learner import Hyperparameters, Learner
 from tests import probes
 from tests.learning.sac_runs import sac_settings
 

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from core.algorithms.ppo.tuned.playground import SETTINGS
+from core.algorithms.ppo.tuned import SETTINGS
 from core.environments import catalog
 from core.environments.environment import State
 from core.environments.external.playground.environment import Playground, load
@@ -86,7 +86,7 @@ def test_equal_keys_and_actions_give_what_the_package_gives(name: str, implement
 @pytest.mark.slow  # it builds all of them
 @pytest.mark.timeout(600)
 def test_the_table_is_what_the_installed_package_says() -> None:
-    from core.algorithms.ppo.tuned.describe_playground import settings
+    from core.algorithms.ppo.describe_playground import settings
     from core.environments.external.playground.describe import table
 
     assert json.loads(TABLE.read_text()) == table()

@@ -1,11 +1,11 @@
-"""Write playground.json: `python -m core.algorithms.ppo.tuned.describe_playground`."""
+"""Write playground.json: `python -m core.algorithms.ppo.describe_playground`."""
 
 import json
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
-from core.algorithms.ppo.tuned.playground import SETTINGS
+from core.algorithms.ppo.tuned import SETTINGS
 from core.environments.external.playground.info import INFOS
 
 # Our PPO has other names for these, or does without: fresh starts come from `reset_pool_size`.

@@ -1,5 +1,6 @@
-"""The state of a SAC run, and one update of it."""
+"""Soft actor-critic: the state of a run, one update of it, and its `Algorithm`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, cast
@@ -8,9 +9,12 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from numpy.typing import NDArray
 
 from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import RunningStatisticsState
+from core.algorithms.checkpoint import describe
+from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
 from core.algorithms.experience import summarise
 from core.algorithms.failure import any_not_finite, find_failure
 from core.algorithms.off_policy import replay as replays
@@ -21,11 +25,15 @@ from core.algorithms.off_policy.acting import (
     normalize,
     observation_size,
     progress,
+    training_metrics,
 )
 from core.algorithms.sac.losses import alpha_loss, critic_loss, policy_loss
 from core.algorithms.sac.networks import Networks, Params, make_networks
+from core.algorithms.sac.policy import FORMAT, write_policy
 from core.algorithms.sac.spec import SACSpec
+from core.algorithms.sharding import ONE_DEVICE
 from core.environments.environment import Environment
+from core.environments.wrappers.action_repeat import repeat_action
 from core.environments.wrappers.autoreset import Episodes
 from core.environments.wrappers.curriculum import progress_metrics
 
@@ -200,3 +208,62 @@ class Learner:
         steps = settings.unroll_length * settings.grad_updates_per_step
         learnt, metrics = jax.lax.scan(gradient_step, learnt, jax.random.split(key, steps))
         return learnt, jax.tree.map(jnp.mean, metrics)
+
+
+class SAC:
+    """See `core.algorithms.algorithm.Algorithm`. The policy is Brax's file of parameters. devices: 1."""
+
+    quantities = QUANTITIES
+    format = FORMAT
+    sharding = ONE_DEVICE
+    split_fields = ()
+
+    def __init__(self, environment: Environment, settings: SACSpec, *, seed: int, devices: int = 1) -> None:
+        settings.check_sharing(devices)
+        self.settings = settings
+        self.seed = jnp.uint32(seed)
+        self.hyperparameters = Hyperparameters.of(settings)
+        self.header = self.description = describe(environment, settings)
+        self.env_steps_per_time_step = settings.num_envs * settings.action_repeat
+        self._learner = Learner(repeat_action(environment, settings.action_repeat), settings)
+
+    def init(self, seed: jax.Array) -> TrainingState:
+        return self._learner.init(seed)
+
+    def update(
+        self, state: TrainingState, hyperparameters: Hyperparameters
+    ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
+        return self._learner.update(state, hyperparameters)
+
+    def evaluated(self, state: TrainingState) -> tuple[Any, ...]:
+        """(normaliser, policy)."""
+        return state.normalizer, state.params.policy
+
+    def evaluate(self, evaluated: tuple[Any, ...], key: jax.Array, update: jax.Array) -> EpisodeTotals:
+        learner, settings = self._learner, self.settings
+        normalizer, policy = evaluated
+        return run_episodes(
+            learner.environment,
+            learner.networks.acting(
+                policy, learner.normalize(normalizer), deterministic=settings.deterministic_eval
+            ),
+            jax.random.fold_in(key, update),
+            num_envs=settings.num_eval_envs,
+            episode_length=settings.actions_per_episode,
+        )
+
+    def training_metrics(
+        self, state: TrainingState, sums: Mapping[str, Any], num_updates: int
+    ) -> dict[str, float]:
+        return training_metrics(sums, num_updates, self.settings.action_repeat)
+
+    def after_evaluation(
+        self, state: TrainingState, totals: EpisodeTotals
+    ) -> tuple[TrainingState, dict[str, float]]:
+        return state, evaluation_metrics(totals, self.settings.action_repeat)
+
+    def policy(self, state: TrainingState) -> bytes:
+        return write_policy(state.normalizer, state.params.policy, self.header)
+
+    def tables(self, state: TrainingState) -> Mapping[str, NDArray[Any]]:
+        return {}

@@ -1,4 +1,4 @@
-"""Which environments SAC has tuned values for, on a GPU: docs/experiments/gpu_tuning.md says what was tried.
+"""The environments that SAC has tuned values for, on a GPU.
 
 To add some, write {"cpu": ..., "gpu": ...} here, and its line in `TUNED`.
 """

@@ -1,5 +1,6 @@
-"""The state of a DQN run, and one update of it."""
+"""The deep Q-network: the state of a run, one update of it, and its `Algorithm`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, cast
@@ -8,13 +9,15 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from numpy.typing import NDArray
 
 from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import RunningStatisticsState
-from core.algorithms.dqn.loss import td_loss
-from core.algorithms.dqn.network import QNetwork, acting
+from core.algorithms.checkpoint import describe
+from core.algorithms.dqn.network import QNetwork, acting, td_loss
+from core.algorithms.dqn.policy import FORMAT, write_policy
 from core.algorithms.dqn.spec import DQNSpec
-from core.algorithms.evaluation import Policy
+from core.algorithms.evaluation import EpisodeTotals, Policy, evaluation_metrics, run_episodes
 from core.algorithms.experience import summarise
 from core.algorithms.exploration import decayed
 from core.algorithms.failure import any_not_finite, find_failure
@@ -26,11 +29,16 @@ from core.algorithms.off_policy.acting import (
     normalize,
     observation_size,
     progress,
+    training_metrics,
 )
+from core.algorithms.q_learning.discrete_env import make_action_set
+from core.algorithms.sharding import ONE_DEVICE
 from core.environments.discretization import ActionSet
 from core.environments.environment import Environment
+from core.environments.wrappers.action_repeat import repeat_action
 from core.environments.wrappers.autoreset import Episodes
 from core.environments.wrappers.curriculum import progress_metrics
+from core.errors import Rejected
 
 ADAM = optax.scale_by_adam()
 # Checked after each update, in the order in which one spoils the next.
@@ -212,3 +220,73 @@ class Learner:
 
 def _unlearnt(learnt: Learnt) -> tuple[Learnt, dict[str, jax.Array]]:
     return learnt, {name: jnp.float32(0) for name in _METRICS}
+
+
+class DQN:
+    """See `core.algorithms.algorithm.Algorithm`. The policy takes the best choice; see `policy.load`.
+
+    devices: 1. Raises Rejected for several devices and settings without an action set;
+    JobFailed("bad_model") where the environment lacks what that needs.
+    """
+
+    quantities = QUANTITIES
+    format = FORMAT
+    sharding = ONE_DEVICE
+    split_fields = ()
+
+    def __init__(self, environment: Environment, settings: DQNSpec, *, seed: int, devices: int = 1) -> None:
+        settings.check_sharing(devices)
+        if settings.action_set is None:
+            raise Rejected("DQN needs an `action_set`.")
+        action_set = make_action_set(settings.action_set, environment)
+        self.settings = settings
+        self.seed = jnp.uint32(seed)
+        self.hyperparameters = Hyperparameters.of(settings)
+        self.description = describe(environment, settings)
+        self.header = self.description | {
+            "num_parts": action_set.num_parts,
+            "num_choices": action_set.num_choices,
+            "epsilon": settings.epsilon.end,
+        }
+        self.env_steps_per_time_step = settings.num_envs * settings.action_repeat
+        self._learner = Learner(repeat_action(environment, settings.action_repeat), action_set, settings)
+
+    def init(self, seed: jax.Array) -> TrainingState:
+        return self._learner.init(seed)
+
+    def update(
+        self, state: TrainingState, hyperparameters: Hyperparameters
+    ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
+        return self._learner.update(state, hyperparameters)
+
+    def evaluated(self, state: TrainingState) -> tuple[Any, ...]:
+        """(normaliser, network)."""
+        return state.normalizer, state.params
+
+    def evaluate(self, evaluated: tuple[Any, ...], key: jax.Array, update: jax.Array) -> EpisodeTotals:
+        """Totals of episodes without exploration."""
+        learner, settings = self._learner, self.settings
+        normalizer, params = evaluated
+        return run_episodes(
+            learner.environment,
+            learner.acting(params, normalizer),
+            jax.random.fold_in(key, update),
+            num_envs=settings.num_eval_envs,
+            episode_length=settings.actions_per_episode,
+        )
+
+    def training_metrics(
+        self, state: TrainingState, sums: Mapping[str, Any], num_updates: int
+    ) -> dict[str, float]:
+        return training_metrics(sums, num_updates, self.settings.action_repeat)
+
+    def after_evaluation(
+        self, state: TrainingState, totals: EpisodeTotals
+    ) -> tuple[TrainingState, dict[str, float]]:
+        return state, evaluation_metrics(totals, self.settings.action_repeat)
+
+    def policy(self, state: TrainingState) -> bytes:
+        return write_policy(state.normalizer, state.params, self.header)
+
+    def tables(self, state: TrainingState) -> Mapping[str, NDArray[Any]]:
+        return {}

@@ -1,5 +1,9 @@
-"""The state of a PPO run, and one update of it."""
+"""PPO (Schulman et al., 2017): the state of a run, one update of it, and its `Algorithm`.
 
+Brax's networks, loss, normaliser and distributions in a loop of our own.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -7,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from numpy.typing import NDArray
 
 from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import (
@@ -16,6 +21,8 @@ from core.algorithms.brax_training import (
     make_inference_fn,
     running_statistics,
 )
+from core.algorithms.checkpoint import Format, describe
+from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
 from core.algorithms.experience import (
     Starts,
     bootstrap_timeouts,
@@ -26,18 +33,25 @@ from core.algorithms.experience import (
 )
 from core.algorithms.failure import any_not_finite, find_failure
 from core.algorithms.normalizer import init_normalizer, normalization
-from core.algorithms.ppo.descent import ADAM, clipped, descend
-from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.kernels import fitting
-from core.algorithms.ppo.learning_rate import adapt_to_kl, linear
-from core.algorithms.ppo.loss import loss_of
+from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
+from core.algorithms.ppo.kernels import layout as fitting
+from core.algorithms.ppo.loss import ADAM, Hyperparameters, adapt_to_kl, clipped, descend, linear, loss_of
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.sharding import ONE_DEVICE, Sharding
 from core.environments.environment import Environment
+from core.environments.wrappers.action_repeat import repeat_action
 from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_states, start_episodes
 from core.environments.wrappers.curriculum import at_progress, progress_at, progress_metrics
 from core.environments.wrappers.vectorized import VectorEnv
+
+FORMAT = Format("gaitway-ppo-2")
+
+
+def header(description: Mapping[str, Any]) -> dict[str, Any]:
+    """A checkpoint's header. An unset bound is left out: some checkpoints are older than the bound."""
+    return {name: value for name, value in description.items() if value is not None}
+
 
 # Checked after each update, in the order in which one spoils the next.
 QUANTITIES = (
@@ -291,3 +305,79 @@ def _decayed(hyperparameters: Hyperparameters, num_updates: jax.Array) -> Hyperp
         hyperparameters.learning_rate_schedule_min_lr,
     )
     return replace(hyperparameters, learning_rate=learning_rate)
+
+
+class PPO:
+    """See `core.algorithms.algorithm.Algorithm`. The policy is Brax's file of parameters.
+
+    devices: how many share environments and each minibatch in equal parts. Raises Rejected if they cannot.
+    """
+
+    quantities = QUANTITIES
+    format = FORMAT
+    split_fields = ("episodes",)
+
+    def __init__(self, environment: Environment, settings: PPOSpec, *, seed: int, devices: int = 1) -> None:
+        self.settings = settings
+        self.seed = jnp.uint32(seed)
+        self.hyperparameters = Hyperparameters.of(settings)
+        self.sharding = Sharding.over(devices, settings)
+        self.description = describe(environment, settings)
+        self.header = header(self.description)
+        self.env_steps_per_time_step = settings.num_envs * settings.action_repeat
+        self._learner = Learner(repeat_action(environment, settings.action_repeat), settings, self.sharding)
+
+    def init(self, seed: jax.Array) -> TrainingState:
+        return self._learner.init(seed)
+
+    def update(
+        self, state: TrainingState, hyperparameters: Hyperparameters
+    ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
+        return self._learner.update(state, hyperparameters)
+
+    def evaluated(self, state: TrainingState) -> tuple[Any, ...]:
+        """(normaliser, policy, value)."""
+        return state.normalizer, state.params.policy, state.params.value
+
+    def evaluate(self, evaluated: tuple[Any, ...], key: jax.Array, update: jax.Array) -> EpisodeTotals:
+        environment, settings = self._learner.environment, self.settings
+        networks = make_networks(
+            environment.observation_size,
+            environment.action_size,
+            settings,
+            normalize=settings.normalize_observations,
+        )
+        return run_episodes(
+            environment,
+            make_inference_fn(networks)(evaluated, deterministic=settings.deterministic_eval),
+            jax.random.fold_in(key, update),
+            num_envs=settings.num_eval_envs,
+            episode_length=settings.actions_per_episode,
+        )
+
+    def training_metrics(
+        self, state: TrainingState, sums: Mapping[str, Any], num_updates: int
+    ) -> dict[str, float]:
+        """Lengths are in environment steps."""
+        values = {name: float(value) for name, value in sums.items()}
+        names = ("episodes", "score", "length", "falls")
+        episodes, score, length, falls = (values.pop(name) for name in names)
+        metrics = {f"training/{name}": value / num_updates for name, value in values.items()}
+        if episodes:
+            metrics["training/episode_reward"] = score / episodes
+            metrics["training/episode_length"] = length / episodes * self.settings.action_repeat
+            metrics["training/fall_rate"] = falls / episodes
+        return metrics
+
+    def after_evaluation(
+        self, state: TrainingState, totals: EpisodeTotals
+    ) -> tuple[TrainingState, dict[str, float]]:
+        return state, evaluation_metrics(totals, self.settings.action_repeat)
+
+    def policy(self, state: TrainingState) -> bytes:
+        """(normaliser, policy, value) in the file that `brax.io.model.load_params` reads."""
+        config = PolicyConfig.of(self.settings.model_dump())
+        return write_policy(PolicyParams(state.normalizer, state.params.policy, state.params.value, config))
+
+    def tables(self, state: TrainingState) -> Mapping[str, NDArray[Any]]:
+        return {}
