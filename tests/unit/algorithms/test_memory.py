@@ -12,8 +12,8 @@ from core.algorithms.memory import perceptron, shown
 from core.algorithms.off_policy import replay
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.q_learning.replay import empty
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.q_learning.table import empty
 from core.algorithms.sac.networks import make_networks as make_sac_networks
 from core.algorithms.sac.spec import SACSpec
 from core.environments import catalog
