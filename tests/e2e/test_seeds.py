@@ -12,7 +12,7 @@ import pytest
 
 from gaitway import exported_policy
 from gaitway.client import Client
-from gaitway.views import JobView
+from gaitway.schema.jobs import JobView
 
 # Updates of 64 × 10 = 640 steps.
 SPEC: dict[str, Any] = {
