@@ -16,39 +16,7 @@ Policy = Callable[..., "jax.Array"]
 Reader = Callable[[bytes, bool, bool], tuple[Any, Any]]
 
 
-def _ppo() -> Reader:
-    from gaitway.policies import network
-
-    return partial(network.load, network.PPO)
-
-
-def _sac() -> Reader:
-    from gaitway.policies import network
-
-    return partial(network.load, network.SAC)
-
-
-def _dqn() -> Reader:
-    from gaitway.policies import dqn
-
-    return dqn.load
-
-
-def _q_learning() -> Reader:
-    from gaitway.policies import q_learning
-
-    return q_learning.load
-
-
-# By algorithm. The call imports JAX.
-READERS: dict[str, Callable[[], Reader]] = {
-    "dqn": _dqn,
-    "ppo": _ppo,
-    "q_learning": _q_learning,
-    "sac": _sac,
-}
-
-
+READERS = ("dqn", "ppo", "q_learning", "sac")
 # Their policies are read from the files for programs elsewhere; their own files are for Brax.
 _EXPORTED = ("ppo", "sac")
 
@@ -105,7 +73,7 @@ def load(path: Path, algorithm: str, *, is_checkpoint: bool, deterministic: bool
     try:
         import jax
 
-        read = READERS[algorithm]()
+        read = _reader(algorithm)
     except ModuleNotFoundError as error:
         raise MissingExtra(
             f"A policy is loaded with JAX and msgpack, and {error.name} is not installed; "
@@ -121,3 +89,18 @@ def load(path: Path, algorithm: str, *, is_checkpoint: bool, deterministic: bool
         return answer(parameters, observation, unused if key is None else key)
 
     return act
+
+
+def _reader(algorithm: str) -> Reader:
+    """Imports JAX."""
+    from gaitway.policies import networks, tables
+
+    match algorithm:
+        case "ppo":
+            return partial(networks.load, networks.PPO)
+        case "sac":
+            return partial(networks.load, networks.SAC)
+        case "dqn":
+            return networks.load_dqn
+        case _:
+            return tables.load

@@ -1,7 +1,4 @@
-"""From what is seen of an environment to a row of a table, or to one for each arm.
-
-As `core.algorithms.q_learning.discrete_env`, which says what each kind is.
-"""
+"""Q-learning's policies: a table, and a state discretizer that finds its rows."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -11,15 +8,50 @@ import jax.numpy as jnp
 import numpy as np
 
 from gaitway.errors import PolicyUnreadable
+from gaitway.policies import checkpoint
+
+_FORMAT = "gaitway-q_learning-1"
 
 Seen = Mapping[str, jax.Array]
 Rows = Callable[[Seen], jax.Array]
+Answer = Callable[[jax.Array, Seen, jax.Array], jax.Array]
+
+
+def load(content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[jax.Array, Answer]:
+    """The table [rows, columns], and (table, arrays by the names that the state discretizer needs, key) ->
+    columns [num_parts] int32. Raises PolicyUnreadable."""
+    facts, state = checkpoint.read(content, _FORMAT)
+    table, epsilon = state["table"], facts["epsilon"]
+    if is_checkpoint:
+        agent = _policy_agent(state, facts)
+        table, epsilon = table[agent], epsilon[agent]
+    elif table.ndim != 2:
+        raise PolicyUnreadable("This is a checkpoint, and no policy file.")
+    # The file's name for the option `state_discretizer`.
+    rows = rows_of(facts["indexer"], facts["num_arms"])
+    explored = jnp.float32(epsilon)
+
+    def answer(table: jax.Array, seen: Seen, key: jax.Array) -> jax.Array:
+        best = jnp.argmax(table[rows(seen)], axis=-1).astype(jnp.int32)
+        if deterministic:
+            return best
+        explore_key, choose_key = jax.random.split(key)
+        explores = jax.random.uniform(explore_key, best.shape) < explored
+        return jnp.where(explores, jax.random.randint(choose_key, best.shape, 0, table.shape[-1]), best)
+
+    return jnp.asarray(table), answer
+
+
+def _policy_agent(state: Mapping[str, Any], facts: Mapping[str, Any]) -> int:
+    """The number of the agent whose table is the policy."""
+    return int(np.argmax(state["eval_return"])) if facts["policy_agent"] == "best" else 0
 
 
 def rows_of(options: Mapping[str, Any], num_arms: int) -> Rows:
     """From arrays by name to rows [num_parts] int32: -1 where what is seen is not finite.
 
-    options: those of the job. Raises PolicyUnreadable for a kind that this version does not know.
+    options: those of the job; `core.algorithms.q_learning.discrete_env` says what each kind is. Raises
+    PolicyUnreadable for a kind that this version does not know.
     """
     match options["kind"]:
         case "arm_towards_target":

@@ -1,6 +1,8 @@
-"""PPO's and SAC's policies: a normaliser, a network, and a normal distribution whose samples tanh bounds.
+"""Policies that are networks behind a normaliser.
 
-Source: brax.training (running_statistics.normalize, networks.MLP, distribution.NormalTanhDistribution).
+PPO's and SAC's give a normal distribution whose samples tanh bounds; DQN's value each choice of each part of
+the body. Source: brax.training (running_statistics.normalize, networks.MLP,
+distribution.NormalTanhDistribution).
 """
 
 import io
@@ -16,7 +18,7 @@ from gaitway.errors import PolicyUnreadable
 from gaitway.policies import checkpoint
 
 # Of checkpoints.
-PPO, SAC = "gaitway-ppo-2", "gaitway-sac-1"
+PPO, SAC, DQN = "gaitway-ppo-2", "gaitway-sac-1", "gaitway-dqn-1"
 # Names in jax.nn.
 _ACTIVATIONS = ("swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus")
 _LEAST_DEVIATION = 0.001
@@ -61,6 +63,29 @@ def load(form: str, content: bytes, is_checkpoint: bool, deterministic: bool) ->
         return jnp.tanh(location)
 
     return parameters, answer
+
+
+def load_dqn(content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[Parameters, Answer]:
+    """The parameters, and (parameters, observation [..., observation_size], key) -> choices [..., num_parts]
+    int32. A checkpoint and a policy file have the same names for what is read. Raises PolicyUnreadable."""
+    facts, state = checkpoint.read(content, DQN)
+    activation = activation_of(facts["activation"])
+    shape = (facts["num_parts"], facts["num_choices"])
+    bound = facts["normalize_observations_max_abs_value"] if facts["normalize_observations"] else None
+    epsilon = jnp.float32(facts["epsilon"])
+
+    def answer(parameters: Parameters, observation: Any, key: jax.Array) -> jax.Array:
+        mean, std, layers = parameters
+        flat = network(layers, normalized(observation, mean, std, bound), activation)
+        best = jnp.argmax(flat.reshape(*flat.shape[:-1], *shape), axis=-1).astype(jnp.int32)
+        if deterministic:
+            return best
+        explore_key, choose_key = jax.random.split(key)
+        explores = jax.random.uniform(explore_key, best.shape) < epsilon
+        return jnp.where(explores, jax.random.randint(choose_key, best.shape, 0, shape[1]), best)
+
+    normalizer = state["normalizer"]
+    return Parameters(normalizer["mean"], normalizer["std"], layers_of(state["params"])), answer
 
 
 def _of_checkpoint(form: str, content: bytes) -> tuple[_Design, Parameters]:
