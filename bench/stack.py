@@ -81,7 +81,7 @@ def running_stack(data_dir: Path, *, workers: int = 1) -> Generator[Stack]:
         _wait_ready(stack.url, workers, lambda: launcher.poll() is None)
         yield stack
     except TimeoutError as late:
-        raise RuntimeError(f"{late} It said:\n{log.read_text(errors='replace')[-2000:]}") from None
+        raise RuntimeError(f"{late} It said:\n{log.read_text(errors='replace')[-2000:]}") from late
     finally:
         _end(launcher)
 

@@ -141,7 +141,9 @@ def number(value: float) -> str:
 
 
 def _rounded(value: float | None) -> float | None:
-    return None if value is None else float(f"{value:.4g}") if abs(value) < 1000 else round(value)
+    if value is None or isinstance(value, int):
+        return value
+    return float(f"{value:.4g}") if abs(value) < 1000 else round(value)
 
 
 def _json(value: Any) -> str:
