@@ -154,7 +154,7 @@ def _ended_attempt_s(client: Client, job_id: str, progress: Event) -> float:
 
 
 def _pids_with(client: Client, job_id: str) -> list[int]:
-    return [worker.pid for worker in client.workers() if worker.job == job_id and worker.pid is not None]
+    return [worker.pid for worker in client.workers() if job_id in worker.jobs and worker.pid is not None]
 
 
 def _until_it_trains(client: Client, job_id: str, since: float) -> Iterator[Event]:
