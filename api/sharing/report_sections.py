@@ -11,6 +11,7 @@ from api.curves import thinned
 from api.dependencies import Service
 from api.sharing.curve_svg import RETURNS, curve_svg, lines_of
 from api.sharing.export import versions
+from core.algorithms.events import is_of_a_seed
 from core.jobs import feeds
 from core.jobs.filled_in import filled_in
 from core.jobs.job import Job
@@ -53,7 +54,8 @@ def sections(job: Job, service: Service) -> Iterator[str]:
 def _curves(job: Job, service: Service) -> str:
     with service.curves.curves(job.id, None) as (curves, _):
         rows = thinned(curves, _POINTS)
-    names = sorted({name for row in rows for name in row.values} - set(RETURNS))
+    measured = {name for row in rows for name in row.values if not is_of_a_seed(name)}
+    names = sorted(measured - set(RETURNS))
     if not rows:
         return section("Curves", "<p>Nothing was measured.</p>")
     others = "".join(curve_svg(lines_of(rows, [name]), name) for name in names)

@@ -12,14 +12,15 @@ from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
 from core.jobs import checks as job_checks
 from core.jobs.needs import DEVICES
-from core.jobs.spec import RolloutSpec
+from core.jobs.spec import JOB_SPEC, RolloutSpec, TrainSpec
 from core.jobs.store import JobStore
 from core.jobs.submission import completed as completed_job
 from core.jobs.submission import with_environment
 from core.nearest import nearest
 from core.sweeps.advance import committed_steps, num_trials, why_no_more
-from core.sweeps.axes import Values, combinations, corners, num_combinations, random_values
-from core.sweeps.fields import axis_place, fields_of, job_of, takes_fractions
+from core.sweeps.axes import Values, combinations, corners, grid_values, num_combinations, random_values
+from core.sweeps.fields import axis_place, fields_of, job_of, takes_fractions, with_values
+from core.sweeps.groups import SEED
 from core.sweeps.metrics import refusal_of_metric
 from core.sweeps.pbt import steps_until
 from core.sweeps.population_checks import problems_of_population
@@ -28,6 +29,9 @@ from core.sweeps.spec import MAX_TRIALS, Axis, Range, SweepSpec
 from core.sweeps.sweep import Trial
 
 _MAX_LABELS = 62
+# Axes along which some jobs may train several seeds and others not.
+_DECIDE_ON_SEEDS = ("resources", "seeds", "resume_from")
+_ALGORITHMS = ("algorithm", "algorithm.kind")
 # Each takes a millisecond or two.
 _MAX_TRIED = 64
 _MAX_HINTS = 5
@@ -36,7 +40,8 @@ _LARGEST_TRIALS_BYTES = 2**21
 
 
 def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
-    """The sweep as it is stored: bounds of fields that take fractions are fractions. Raises Rejected."""
+    """The sweep as it is stored: bounds of fields that take fractions are fractions, and a grid's seeds are
+    trained side by side where `_with_seeds_together` says so. Raises Rejected."""
     try:
         spec = spec.model_copy(update={"job": with_environment(spec.job, store)})
         info, _ = job_checks.chosen(spec.job.environment, store)
@@ -52,8 +57,33 @@ def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
     _check_method(spec)
     _check_objectives(spec)
     _check_values(spec, store)
+    spec = _with_seeds_together(spec, store)
     check_budget(spec, (), store)
     return spec
+
+
+def _with_seeds_together(spec: SweepSpec, store: JobStore) -> SweepSpec:
+    """A grid over `seed` of trainings on one GPU, as one over its other axes whose jobs train these `seeds`.
+
+    The sweep as it is where such jobs are not allowed, and where a CPU may train them: it takes as long for
+    seeds side by side as one after the other.
+    """
+    job = spec.job
+    if spec.method != "grid" or SEED not in spec.parameters or not isinstance(job, TrainSpec):
+        return spec
+    if job.resources.kind != "gpu" or job.resume_from is not None or job.algorithm.why_no_seeds is not None:
+        return spec
+    if any(name.partition(".")[0] in _DECIDE_ON_SEEDS or name in _ALGORITHMS for name in spec.parameters):
+        return spec
+    others = {name: axis for name, axis in spec.parameters.items() if name != SEED}
+    document = with_values(job, {"seeds": grid_values(spec.parameters[SEED])})
+    document.pop(SEED, None)
+    try:
+        together = spec.model_copy(update={"job": JOB_SPEC.validate_python(document), "parameters": others})
+        _check_values(together, store)
+    except (ValidationError, Rejected):  # Too many, or not enough memory for all of them.
+        return spec
+    return together
 
 
 def steps_of(spec: SweepSpec, values: Mapping[str, JsonValue], store: JobStore) -> int:
@@ -63,7 +93,8 @@ def steps_of(spec: SweepSpec, values: Mapping[str, JsonValue], store: JobStore) 
         if isinstance(job, RolloutSpec):
             return job.num_steps * job.num_episodes
         info, _ = job_checks.chosen(job.environment, store)
-        return max(resolve(job.algorithm, info, device).budget for device in DEVICES[job.resources.kind])
+        budgets = (resolve(job.algorithm, info, device).budget for device in DEVICES[job.resources.kind])
+        return max(budgets) * len(job.seeds or [job.seed])
     except (ValidationError, Rejected):
         return 0
 

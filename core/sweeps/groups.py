@@ -12,7 +12,7 @@ from pydantic import JsonValue
 from core.sweeps.spec import Objective
 from core.sweeps.sweep import Trial
 
-_SEED = "seed"
+SEED = "seed"
 
 
 def best(trials: Sequence[Trial], objectives: Sequence[Objective]) -> list[Trial]:
@@ -60,13 +60,13 @@ def by_seed(trials: Sequence[Trial], num_objectives: int) -> list[Group]:
     """One group for each setting; empty where `seed` is no axis."""
     groups: dict[str, list[Trial]] = defaultdict(list)
     for trial in trials:
-        if _SEED in trial.parameters:
+        if SEED in trial.parameters:
             groups[json.dumps(_setting(trial), sort_keys=True)].append(trial)
     return [_group(members, num_objectives) for members in groups.values()]
 
 
 def _setting(trial: Trial) -> dict[str, JsonValue]:
-    return {name: value for name, value in trial.parameters.items() if name != _SEED}
+    return {name: value for name, value in trial.parameters.items() if name != SEED}
 
 
 def _group(members: Sequence[Trial], num_objectives: int) -> Group:

@@ -38,8 +38,8 @@ def judged(
             "outcome": outcome,
             "message": job.message,
             "values": tuple(metrics.get(objective.metric) for objective in objectives),
-            # A run that resumes counts from the beginning of its lineage.
-            "steps": max(0, job.progress.step - trial.inherited_steps),
+            # A run that resumes counts from the beginning of its lineage, and each of several seeds its own.
+            "steps": max(0, job.progress.step - trial.inherited_steps) * max(1, len(job.seeds)),
             "gpu_hours": sum(_gpu_hours(one, job.spec.resources.gpus, now) for one in job.attempts),
             "finished_at": job.finished_at,
         }

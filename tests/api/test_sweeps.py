@@ -1,6 +1,7 @@
 """Sweeps over HTTP; the controller moves them on when a test says so."""
 
 from collections.abc import Callable
+from datetime import timedelta
 from typing import Any
 
 import httpx
@@ -8,7 +9,9 @@ import pytest
 
 from api.sweep_examples import EXAMPLES
 from core.jobs.job import Progress
+from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
+from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from core.sweeps.controller import SweepController
 from core.sweeps.spec import SWEEP_SPEC
@@ -230,3 +233,92 @@ def test_the_record_away_is_said_so(stack: Stack) -> None:
     with stack.away("store"):
         problem(stack.http.get("/sweeps"), 503, "records-unavailable")
         problem(post(stack), 503, "records-unavailable")
+
+
+ON_A_GPU = {**JOB, "resources": {"accelerator": "gpu"}}
+
+
+def test_the_seeds_of_a_grid_are_trained_together_on_a_gpu(stack: Stack, look: Callable[[], int]) -> None:
+    answer = post(stack, job={**ON_A_GPU, "seed": 9}, budget={"steps": 4000})
+    sweep = answer.json()
+    assert (answer.status_code, sweep["max_trials"]) == (202, 2)
+    assert sweep["spec"]["job"]["seeds"] == [1, 2]
+    assert "seed" not in sweep["spec"]["job"]
+    look()
+    trials = stack.http.get(sweep["links"]["self"]).json()["trials"]
+    rates = [1e-4, 1e-3]
+    assert [trial["parameters"] for trial in trials] == [{"algorithm.learning_rate": rate} for rate in rates]
+    jobs = [stack.http.get(f"/jobs/{trial['job']}").json()["spec"] for trial in trials]
+    assert [job["seeds"] for job in jobs] == [[1, 2], [1, 2]]
+    assert [job["algorithm"]["learning_rate"] for job in jobs] == rates
+    for number, value in enumerate((4.0, 6.0)):
+        finish(stack, number, {METRIC: value, f"seed_1/{METRIC}": 0.0})
+    look()
+    ended = stack.http.get(sweep["links"]["self"]).json()
+    assert (ended["status"], ended["best"][0]["number"], ended["best"][0]["values"]) == (
+        "succeeded",
+        1,
+        [6.0],
+    )
+    stored = stack.store.trials([sweep["id"]])[sweep["id"]]
+    assert [trial.steps for trial in stored] == [2000, 2000]  # Those of both seeds.
+
+
+def test_a_grid_of_seeds_alone_is_one_job_of_them(stack: Stack, look: Callable[[], int]) -> None:
+    axis = {"low": 3, "high": 5, "step": 1}
+    sweep = post(stack, job=ON_A_GPU, parameters={"seed": axis}).json()
+    assert (sweep["max_trials"], sweep["spec"]["parameters"]) == (1, {})
+    look()
+    [trial] = stack.http.get(sweep["links"]["self"]).json()["trials"]
+    assert stack.http.get(f"/jobs/{trial['job']}").json()["spec"]["seeds"] == [3, 4, 5]
+    finish(stack, 0, {METRIC: 4.0})
+    look()
+    assert stack.http.get(sweep["links"]["self"]).json()["status"] == "succeeded"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"job": JOB},  # A CPU may train it.
+        {"method": "random", "budget": {"jobs": 4}},
+        {"parameters": {"seed": list(range(17))}},
+        {"parameters": {"seed": [1]}},
+        {"parameters": {"seed": [1, 2], "resources.accelerator": ["gpu", "any"]}},
+        {"job": {**JOB, "resources": {"gpus": 2}}},
+        {
+            "job": {
+                "kind": "train",
+                "environment": "brittle_star",
+                "algorithm": {"kind": "q_learning"},
+                "resources": {"accelerator": "gpu"},
+            },
+            "parameters": {"seed": [1, 2]},
+            "objective": {"metric": METRIC},
+        },
+    ],
+    ids=["cpu", "random", "too many", "one", "accelerators", "gpus", "q_learning"],
+)
+def test_otherwise_each_seed_is_a_job(stack: Stack, changes: dict[str, Any]) -> None:
+    answer = post(stack, **{"job": ON_A_GPU, "parameters": {"seed": [1, 2]}, **changes})
+    assert answer.status_code == 202, answer.text
+    sweep = answer.json()["spec"]
+    assert "seed" in sweep["parameters"]
+    assert "seeds" not in sweep["job"]
+
+
+def test_seeds_that_do_not_fit_together_are_jobs_of_their_own(stack: Stack) -> None:
+    info = WorkerInfo(
+        name="w",
+        host="h",
+        pid=1,
+        device="gpu:0",
+        queues=queue_names("gpu:0"),
+        memory_bytes=20 * 2**30,
+        started_at=NOON,
+        seen_at=NOON,
+    )
+    stack.store.announce(info, timedelta(minutes=1))
+    # 1024 * 1024 * 100 transitions of 39 floats: 15.2 GiB.
+    large = {"num_envs": 1024, "batch_size": 1024, "num_minibatches": 1024, "unroll_length": 100}
+    answer = post(stack, job={**ON_A_GPU, "algorithm": large}, parameters={"seed": [1, 2]})
+    assert (answer.status_code, answer.json()["max_trials"]) == (202, 2)

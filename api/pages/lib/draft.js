@@ -20,7 +20,7 @@ export function put(document, [name, ...rest], value) {
 
 /**
  * The draft that an address asks for: `from` a job, a `fork` or a `roll` of a checkpoint (with `step`), a `roll` of
- * the best policy (`which`), or of an `environment` and a `model`.
+ * the best policy (`which`), each of one `seed` of several, or of an `environment` and a `model`.
  */
 export async function fromAddress(query) {
   const source = query.get("from") || query.get("fork") || query.get("roll");
@@ -35,6 +35,7 @@ export async function fromAddress(query) {
   const checkpoint = { job: job.id, step: Number(query.get("step")) };
   if (query.get("roll")) {
     const chosen = query.get("which") === "best" ? { job: job.id, which: "best" } : checkpoint;
+    if (query.get("seed")) chosen.seed = Number(query.get("seed"));
     return { kind: "rollout", name: `${title(job)}, rolled out`, environment, policy: { kind: "checkpoint", ...chosen } };
   }
   const draft = { ...job.spec, environment };

@@ -25,9 +25,20 @@ export const algorithmOf = (job) => (job.kind === "train" ? job.spec.algorithm?.
 
 export const isOver = (job) => isFinal(job.status);
 
-/** The newest file of a role, or the one of a step. */
+/** The seeds that the job trains side by side; none for a job with a single seed. */
+export const seedsOf = (job) => job.spec.seeds || [];
+
+/** The job with the files of one of its seeds, by default the first, and those that all share; `shownSeed` is that seed. */
+export function ofSeed(job, seed = job.shownSeed) {
+  const seeds = seedsOf(job);
+  if (!seeds.length) return job;
+  const shownSeed = seeds.includes(seed) ? seed : seeds[0];
+  return { ...job, shownSeed, artifacts: job.artifacts.filter(({ metadata }) => (metadata.seed ?? shownSeed) === shownSeed) };
+}
+
+/** The newest file of a role, or the one of a step; of several seeds, that of the seed that is shown. */
 export function newest(job, role, step) {
-  const found = job.artifacts.filter((file) => file.role === role && (step === undefined || file.step === step));
+  const found = ofSeed(job).artifacts.filter((file) => file.role === role && (step === undefined || file.step === step));
   // One without a step was made at the job's end.
   return found.reduce((best, file) => (!best || (file.step ?? Infinity) >= (best.step ?? Infinity) ? file : best), null);
 }

@@ -1,5 +1,23 @@
 /** Jobs that differ only in their seed, and their curves as one: the mean, between the least and the greatest. */
 
+import { across, smooth } from "./curves.js";
+import { seedsOf } from "./job.js";
+
+/** The name of a seed's own value of a metric, in a job of several seeds. */
+export const metricOfSeed = (seed, name) => `seed_${seed}/${name}`;
+
+export const isOfASeed = (name) => /^seed_\d+\//.test(name);
+
+/** A thin line for each of a job's seeds, which stand behind their mean. */
+export function seedLines(curves, name, tools, job, colour = "--curve-1", before = "") {
+  return seedsOf(job).flatMap((seed) => {
+    const own = curves.byName.get(metricOfSeed(seed, name));
+    if (!own) return [];
+    const xs = across(own, tools.x, job.started_at || job.created_at);
+    return [{ label: `${before}seed ${seed}`, xs, ys: smooth(own.values, tools.smoothing), colour, faint: true }];
+  });
+}
+
 /** What identifies a setting: the specification without what a repetition changes. */
 const settingOf = ({ spec }) => JSON.stringify(sorted({ ...spec, seed: 0, name: "", labels: {} }));
 

@@ -8,7 +8,7 @@ export const objectivesOf = (sweep) => [sweep.spec.objective].flat();
 
 export const axesOf = (sweep) => Object.keys(sweep.spec.parameters);
 
-export const title = (sweep) => sweep.name || `${sweep.spec.method} over ${axesOf(sweep).map(short).join(", ")}`;
+export const title = (sweep) => sweep.name || `${sweep.spec.method} over ${axesOf(sweep).map(short).join(", ") || "seeds"}`;
 
 /** Whether its trials make videos, of which a trial may yet have none. */
 export const hasVideos = (sweep) => sweep.spec.job.video !== null || "video" in sweep.spec.parameters;

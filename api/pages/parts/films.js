@@ -2,11 +2,11 @@
 
 import { count } from "../lib/format.js";
 import { html, useEffect, useRef, useState } from "../lib/html.js";
-import { newest } from "../lib/job.js";
+import { newest, ofSeed } from "../lib/job.js";
 
 /** The job's videos by step; the one made at its end has no step and comes last. */
 export const filmsOf = (job) =>
-  job.artifacts.filter((file) => file.role === "video").sort((a, b) => (a.step ?? Infinity) - (b.step ?? Infinity));
+  ofSeed(job).artifacts.filter((file) => file.role === "video").sort((a, b) => (a.step ?? Infinity) - (b.step ?? Infinity));
 
 export const filmName = (film) => (film.step === null ? "at the end" : `at step ${count(film.step)}`);
 

@@ -4,11 +4,11 @@ import { everyItem, get, post, remove } from "../lib/api.js";
 import { duration, moment, seconds } from "../lib/format.js";
 import { html, useState } from "../lib/html.js";
 import { useCurrentInSight } from "../lib/in_sight.js";
-import { algorithmOf, environmentOf, isOver, labelsOf, title } from "../lib/job.js";
+import { algorithmOf, environmentOf, isOver, labelsOf, ofSeed, seedsOf, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
 import { useJob } from "../lib/live_job.js";
 import { whyQueued } from "../lib/queue.js";
-import { go, href } from "../lib/route.js";
+import { change, go, href } from "../lib/route.js";
 import { useTitle } from "../lib/title.js";
 import { Confirm } from "../parts/confirm.js";
 import { Prose } from "../parts/prose.js";
@@ -32,6 +32,9 @@ const TABS = {
   specification: ["Specification", SpecificationTab],
 };
 
+// The tabs that show files of one of several seeds.
+const OF_A_SEED = ["overview", "replay", "push"];
+
 export default function JobView({ path: [id, tab = "overview"], query }) {
   const live = useJob(id);
   const { job, error, isGone, again } = live;
@@ -41,15 +44,26 @@ export default function JobView({ path: [id, tab = "overview"], query }) {
   if (!job && error) return html`<${Failure} error=${error} again=${again} /><p><a href="#/jobs">To the jobs</a></p>`;
   if (!job) return html`<${Loading} what="the job" />`;
   const Tab = (TABS[tab] || TABS.overview)[1];
+  const shown = query.has("seed") ? ofSeed(job, Number(query.get("seed"))) : ofSeed(job);
   return html`
     <${Head} job=${job} again=${again} isBrief=${tab !== "overview"} />
     <nav class="tabs" aria-label="Parts of the job" ref=${tabs}>
-      ${Object.entries(TABS).filter(([name]) => name !== "push" || tab === "push" || canPush(job)).map(
-        ([name, [text]]) => html`<a href=${href(["jobs", id, name])} aria-current=${name === tab ? "page" : undefined}>${text}</a>`,
+      ${Object.entries(TABS).filter(([name]) => name !== "push" || tab === "push" || canPush(shown)).map(
+        ([name, [text]]) => html`<a href=${href(["jobs", id, name], { seed: query.get("seed") })} aria-current=${name === tab ? "page" : undefined}>${text}</a>`,
       )}
     </nav>
-    <${Tab} ...${live} query=${query} />
+    ${OF_A_SEED.includes(tab) && html`<${Seeds} job=${shown} />`}
+    <${Tab} ...${live} job=${tab === "files" ? job : shown} query=${query} />
   `;
+}
+
+/** Which of several seeds is shown. */
+function Seeds({ job }) {
+  const seeds = seedsOf(job);
+  if (!seeds.length) return null;
+  return html`<p><label class="inline">Seed
+    <select value=${job.shownSeed} onChange=${(event) => change({ seed: event.target.value })}>${seeds.map((seed) => html`<option key=${seed} value=${seed}>${seed}</option>`)}</select>
+  </label> <span class="facts">of ${seeds.length} that are trained together; curves are their mean</span></p>`;
 }
 
 /** How the job goes, and its name, in a few words. */

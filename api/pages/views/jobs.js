@@ -3,7 +3,7 @@
 import { get } from "../lib/api.js";
 import { ago, value } from "../lib/format.js";
 import { html, useEffect, useRef, useState } from "../lib/html.js";
-import { algorithmOf, environmentOf, isOver, labelsOf, lastReturn, RETURNS, title } from "../lib/job.js";
+import { algorithmOf, environmentOf, isOver, labelsOf, lastReturn, RETURNS, seedsOf, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
 import { change, href } from "../lib/route.js";
 import { Import } from "../parts/import.js";
@@ -107,7 +107,7 @@ function Row({ job, picked }) {
       <h2><a href=${here}>${title(job)}</a></h2>
       <p class="facts">
         <a href=${href(["jobs"], { environment })}>${environment}</a>
-        ${` · ${algorithmOf(job) || job.kind}${job.spec.seed === undefined ? "" : ` · seed ${job.spec.seed}`}${job.imported_from ? " · imported" : ""} · `}<time datetime=${job.created_at}>${ago(job.created_at)}</time>
+        ${` · ${algorithmOf(job) || job.kind}${seedsOf(job).length ? ` · seeds ${seedsOf(job).join(", ")}` : job.spec.seed === undefined ? "" : ` · seed ${job.spec.seed}`}${job.imported_from ? " · imported" : ""} · `}<time datetime=${job.created_at}>${ago(job.created_at)}</time>
       </p>
       <${Labels} labels=${labelsOf(job)} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
     </div>

@@ -1,5 +1,6 @@
 """One job: live, through losses of the service, and after its end."""
 
+import re
 from datetime import timedelta
 from typing import Any
 
@@ -364,3 +365,38 @@ def test_a_service_that_goes_away_and_comes_back(stack: Stack, make_tab: MakeTab
         assert int(seen[0] or 0) > 0
         expect(page.get_by_text("The service does not answer.")).to_have_count(0)
         page.close()
+
+
+def test_a_job_of_several_seeds_shows_one_ones_files_and_all_their_curves(stack: Stack, tab: Tab) -> None:
+    attempt = Attempt(stack, job(name="three", seeds=[4, 0]))
+    for step in (100, 200):
+        measure(
+            stack,
+            attempt,
+            step,
+            eval__episode_reward=2.0,
+            **{"seed_4__eval__episode_reward": 1.0, "seed_0__eval__episode_reward": 3.0},
+        )
+    for seed in (4, 0):
+        facts = {"seed": seed, "return": 10.0 + seed}
+        attempt.keep(f"video-seed-{seed}.mp4", b"film", metadata=facts)
+        attempt.keep(f"policy-best-seed-{seed}", b"best", role="best_policy", step=200, metadata=facts)
+    page = tab.open(f"#/jobs/{attempt.id}")
+    video = page.locator("video")
+    expect(video).to_have_attribute("src", re.compile("video-seed-4.mp4$"))
+    expect(page.get_by_text("Best: return 14")).to_be_visible()
+    page.get_by_label("Seed").select_option("0")
+    expect(video).to_have_attribute("src", re.compile("video-seed-0.mp4$"))
+    expect(page.get_by_text("Best: return 10")).to_be_visible()
+    assert "seed=0" in page.url
+    expect(page.get_by_role("link", name="roll it out")).to_have_attribute("href", re.compile("seed=0$"))
+    expect(page.get_by_role("img", name="Return. eval: last 2 at 200")).to_be_visible()
+    expect(page.locator(".u-legend").get_by_text("eval, seed 4")).to_be_visible()
+    page.get_by_role("link", name="Curves").click()
+    expect(page.locator("figure.chart h2")).to_have_text(["eval/episode_reward"])
+    expect(page.locator(".u-legend").get_by_text("seed 0")).to_be_visible()
+    page.get_by_role("link", name="Files").click()
+    for seed in (4, 0):
+        expect(page.get_by_role("link", name=f"video-seed-{seed}.mp4")).to_be_visible()
+    page = tab.open("#/jobs")
+    expect(page.get_by_text("seeds 4, 0")).to_be_visible()

@@ -1,5 +1,6 @@
 """Sweeps on the page: the list, and one sweep with its pictures, its trials, and its cancel."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -212,6 +213,28 @@ def test_each_trial_shows_its_curve_and_its_video(stack: Stack, make_tab: MakeTa
     first.keep("poster-1000.png", poster, role="poster", media_type="image/png", step=1000)
     first.end()
     expect(rows.filter(has_text="trial 0").locator(".thumbnail img")).to_be_visible()
+
+
+def test_seeds_that_one_job_trains_are_a_band(stack: Stack, make_tab: MakeTab) -> None:
+    job = {**SWEEP["job"], "resources": {"accelerator": "gpu"}}
+    for parameters in ({"algorithm.learning_rate": [1e-4, 1e-3], "seed": [1, 2]}, {"seed": [1, 2]}):
+        sweep, controller = begun(stack, name=None, job=job, parameters=parameters)
+        for trial in stack.store.trials([sweep["id"]])[sweep["id"]]:
+            attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
+            for step in (500, 1000):
+                own = {f"seed_{seed}/{METRIC}": 10.0 * seed for seed in (1, 2)}
+                attempt.say("metrics", step=step, values={METRIC: 15.0, **own})
+            progress = Progress(step=1000, total=1000, metrics={METRIC: 15.0})
+            stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
+            attempt.end()
+        controller.look()
+        tab = make_tab()
+        page = tab.open(f"#/sweeps/{sweep['id']}")
+        groups = page.get_by_role("region", name="Seeds of one setting together")
+        expect(groups.get_by_role("row").nth(1)).to_contain_text("215")  # Two seeds, and their mean
+        page.locator(".bands").scroll_into_view_if_needed()
+        expect(page.get_by_role("img", name=re.compile("mean of 2 seeds: last 15 at 1k"))).to_be_visible()
+        assert tab.violations() == []
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import { across, smooth, useCurves } from "../../lib/curves.js";
 import { html } from "../../lib/html.js";
 import { HINTS, OPEN, sectionsOf } from "../../lib/sections.js";
+import { isOfASeed, seedLines } from "../../lib/seeds.js";
 import { useStoredList } from "../../lib/stored.js";
 import { change } from "../../lib/route.js";
 import { Chart } from "../../parts/chart.js";
@@ -19,10 +20,10 @@ export function CurvesTab({ job, query, onMetrics }) {
   const { curves, error } = useCurves(job, onMetrics, asked);
   if (error) return html`<${Failure} error=${error} />`;
   if (!curves) return html`<${Loading} what="curves" />`;
-  const names = [...curves.byName.keys()].filter((name) => name.toLowerCase().includes(wanted));
+  const names = [...curves.byName.keys()].filter((name) => name.toLowerCase().includes(wanted) && (!isOfASeed(name) || wanted.startsWith("seed")));
   const draw = (name) => html`<section class="card pinnable" key=${name}>
     <button type="button" class="plain pin" aria-pressed=${pins.includes(name)} aria-label="Pin ${name}" title="Show it first, on this browser" onClick=${() => pin(name)}>${pins.includes(name) ? "★" : "☆"}</button>
-    <${Chart} title=${name} lines=${linesOf(curves.byName.get(name), name, tools, job)} x=${tools.x} log=${tools.log}
+    <${Chart} title=${name} lines=${[...linesOf(curves.byName.get(name), name, tools, job), ...seedLines(curves, name, tools, job)]} x=${tools.x} log=${tools.log}
       range=${tools.range} onRange=${setRange} height=${180} sync="curves" />
   </section>`;
   return html`

@@ -3,8 +3,9 @@
 import { count, duration, moment, seconds, value } from "../../lib/format.js";
 import { across, smooth, useCurves } from "../../lib/curves.js";
 import { html, useState } from "../../lib/html.js";
-import { newest, RETURNS } from "../../lib/job.js";
+import { newest, RETURNS, seedsOf } from "../../lib/job.js";
 import { href } from "../../lib/route.js";
+import { metricOfSeed, seedLines } from "../../lib/seeds.js";
 import { Chart } from "../../parts/chart.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
 import { Films } from "../../parts/films.js";
@@ -38,12 +39,12 @@ function FilmsAndForks({ job, query }) {
   const checkpoint = checkpoints.find((file) => file.step === step) || (step === null ? checkpoints.at(-1) : null);
   return html`
     <${Films} job=${job} onStep=${setStep}><${NewestReplay} job=${job} query=${query} /><//>
-    ${replay && html`<p><a href=${href(["jobs", job.id, "replay"], step === null ? {} : { step })}>See it from any side</a></p>`}
+    ${replay && html`<p><a href=${href(["jobs", job.id, "replay"], { seed: job.shownSeed, ...(step === null ? {} : { step }) })}>See it from any side</a></p>`}
     ${checkpoints.length > 0 &&
     html`<p class="actions">
       ${checkpoint
         ? html`<a class="button" href=${href(["submit"], { fork: job.id, step: checkpoint.step })}>Fork from this checkpoint</a>
-            <a href=${href(["submit"], { roll: job.id, step: checkpoint.step })}>Roll it out</a>`
+            <a href=${href(["submit"], { roll: job.id, step: checkpoint.step, seed: job.shownSeed })}>Roll it out</a>`
         : html`<span class="facts">This video's checkpoint is no longer kept.</span>`}
     </p>`}
   `;
@@ -51,14 +52,15 @@ function FilmsAndForks({ job, query }) {
 
 function Return({ job, query, onMetrics }) {
   const tools = toolsOf(query);
-  const { curves, error, version } = useCurves(job, onMetrics, { points: 400, metric: RETURNS });
+  const { curves, error, version } = useCurves(job, onMetrics, { points: 400, metric: [...RETURNS, ...seedsOf(job).flatMap((seed) => RETURNS.map((name) => metricOfSeed(seed, name)))] });
   if (error) return html`<${Failure} error=${error} />`;
   const lines = RETURNS.flatMap((name, i) => {
     const curve = curves?.byName.get(name);
     if (!curve) return [];
     const xs = across(curve, tools.x, job.started_at || job.created_at);
     const label = name.replace("/episode_reward", "");
-    return [{ label, xs, ys: smooth(curve.values, tools.smoothing), colour: `--curve-${i + 1}` }];
+    const colour = `--curve-${i + 1}`;
+    return [{ label, xs, ys: smooth(curve.values, tools.smoothing), colour }, ...seedLines(curves, name, tools, job, colour, `${label}, `)];
   });
   return html`<${Chart} title="Return" version=${version} lines=${lines} x=${tools.x} log=${tools.log} range=${tools.range} onRange=${setRange} height=${250} />
     <${CurveTools} tools=${tools} />
@@ -70,7 +72,7 @@ function Best({ job }) {
   const best = newest(job, "best_policy");
   if (!best) return null;
   return html`<p class="facts">Best: return ${value(best.metadata.return)} at step ${count(best.step)}.
-    <a href=${best.href} download=${best.name}>Download its policy</a>, or <a href=${href(["submit"], { roll: job.id, which: "best" })}>roll it out</a>.</p>`;
+    <a href=${best.href} download=${best.name}>Download its policy</a>, or <a href=${href(["submit"], { roll: job.id, which: "best", seed: job.shownSeed })}>roll it out</a>.</p>`;
 }
 
 /** What a rollout found. */

@@ -3,7 +3,7 @@
 import { get } from "../../lib/api.js";
 import { count } from "../../lib/format.js";
 import { html, useEffect, useState } from "../../lib/html.js";
-import { isOver } from "../../lib/job.js";
+import { isOver, ofSeed } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
 import { change } from "../../lib/route.js";
 import { Player } from "../../parts/replay/player.js";
@@ -12,7 +12,7 @@ import { Empty, Failure, Loading } from "../../parts/states.js";
 const MOST_AT_ONCE = 8;
 
 /** The newest policy in the form that the page runs. */
-export const policyOf = (job) => job.artifacts.find((file) => file.name === "policy.npz");
+export const policyOf = (job) => ofSeed(job).artifacts.find((file) => /^policy(-seed-\d+)?\.npz$/.test(file.name));
 
 /** Whether the page can step the job's body itself, so that it may be pushed; also while the job trains. */
 export const canPush = (job) =>
@@ -20,7 +20,7 @@ export const canPush = (job) =>
 
 /** The job's replays by step; that of a rollout has no step. */
 export const replaysOf = (job) =>
-  job.artifacts.filter((file) => file.role === "replay").sort((a, b) => (a.step ?? Infinity) - (b.step ?? Infinity));
+  ofSeed(job).artifacts.filter((file) => file.role === "replay").sort((a, b) => (a.step ?? Infinity) - (b.step ?? Infinity));
 
 export function ReplayTab({ job, query }) {
   const files = replaysOf(job);
@@ -40,7 +40,7 @@ export function NewestReplay({ job, query }) {
 
 /** Why there is none, in the service's words. */
 function NoReplay({ job, step }) {
-  const { error } = useLive((signal) => get(`/jobs/${job.id}/replay`, { step }, { signal }), [job.id, step, job.artifacts.length]);
+  const { error } = useLive((signal) => get(`/jobs/${job.id}/replay`, { step, seed: job.shownSeed }, { signal }), [job.id, step, job.artifacts.length]);
   return html`<${Empty}>
     <p>${error ? error.message : "Looking for a replay…"}</p>
     ${!isOver(job) && html`<p>It appears here as soon as it is there.</p>`}

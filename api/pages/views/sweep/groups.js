@@ -4,7 +4,7 @@ import { curveOf } from "../../lib/curves.js";
 import { value } from "../../lib/format.js";
 import { html, useRef } from "../../lib/html.js";
 import { useInSight } from "../../lib/in_sight.js";
-import { bandLines } from "../../lib/seeds.js";
+import { bandLines, metricOfSeed } from "../../lib/seeds.js";
 import { axesOf, hasJob, isOver, objectivesOf, short, told } from "../../lib/sweep.js";
 import { Chart } from "../../parts/chart.js";
 
@@ -13,11 +13,12 @@ const MOST_SEEDS = 20; // Whose curves are loaded for one band.
 const POINTS = 200;
 
 export function Groups({ sweep, objective }) {
-  if (!sweep.groups.some((group) => group.trials.length > 1)) return null;
+  const all = groupsOf(sweep);
+  if (!all.some((group) => group.seeds > 1)) return null;
   const { metric, direction } = objectivesOf(sweep)[objective];
   const sign = direction === "minimize" ? 1 : -1;
   const worth = (group) => (group.mean[objective] === null ? Infinity : sign * group.mean[objective]);
-  const groups = [...sweep.groups].sort((one, other) => worth(one) - worth(other));
+  const groups = [...all].sort((one, other) => worth(one) - worth(other));
   const axes = axesOf(sweep).filter((axis) => axis !== "seed");
   return html`<section class="card stack"><h2>Seeds of one setting together</h2>
     <${Bands} key=${metric} sweep=${sweep} groups=${groups.slice(0, MOST_BANDS)} axes=${axes} metric=${metric} />
@@ -26,30 +27,45 @@ export function Groups({ sweep, objective }) {
       <thead><tr>${axes.map((axis) => html`<th>${axis}</th>`)}<th class="number">Seeds</th><th class="number">${metric}</th></tr></thead>
       <tbody>${groups.map((group) => html`<tr key=${group.trials[0]}>
         ${axes.map((axis) => html`<td>${told(group.parameters[axis])}</td>`)}
-        <td class="number">${group.trials.length}</td>
+        <td class="number">${group.seeds}</td>
         <td class="number">${value(group.mean[objective])}${group.spread[objective] === null ? "" : ` ± ${value(group.spread[objective])}`}</td>
       </tr>`)}</tbody>
     </table></div>
   </section>`;
 }
 
+/** Trials of one setting; a trial whose job trains several seeds is one by itself, and its values are their means. */
+function groupsOf(sweep) {
+  const { seeds } = sweep.spec.job;
+  if (!seeds) return sweep.groups.map((group) => ({ ...group, seeds: group.trials.length }));
+  const none = objectivesOf(sweep).map(() => null);
+  return sweep.trials.map(({ number, parameters, values }) => ({
+    parameters, trials: [number], mean: none.map((_, at) => values[at] ?? null), spread: none, seeds: seeds.length,
+  }));
+}
+
 /** Of what the curves are. */
 const limits = (groups) =>
   `Each line is the mean over the seeds of a setting, between the least and the greatest` +
   `${groups.length > MOST_BANDS ? `; the best ${MOST_BANDS} settings are drawn` : ""}` +
-  `${groups.some((group) => group.trials.length > MOST_SEEDS) ? `; of each, the first ${MOST_SEEDS} seeds` : ""}.`;
+  `${groups.some((group) => group.seeds > MOST_SEEDS) ? `; of each, the first ${MOST_SEEDS} seeds` : ""}.`;
 
 /** The curves of each group: their mean, between the least and the greatest. They are loaded in sight, group by group. */
 function Bands({ sweep, groups, axes, metric }) {
-  const known = useRef(new Map()); // By job: its curve, and the step at which it was loaded.
+  const known = useRef(new Map()); // By job and metric: the curve, and the step at which it was loaded.
+  const names = sweep.spec.job.seeds?.map((seed) => metricOfSeed(seed, metric)) || [metric];
   const members = groups.map((group) =>
-    sweep.trials.filter((trial) => group.trials.includes(trial.number) && hasJob(trial) && trial.step > 0).slice(0, MOST_SEEDS),
+    sweep.trials
+      .filter((trial) => group.trials.includes(trial.number) && hasJob(trial) && trial.step > 0)
+      .flatMap((trial) => names.map((name) => ({ ...trial, name })))
+      .slice(0, MOST_SEEDS),
   );
-  const load = async ({ job, step }) => {
-    if (known.current.get(job)?.step !== step) {
-      known.current.set(job, { step, curve: await curveOf(`/jobs/${job}/metrics`, metric, { points: POINTS }) });
+  const load = async ({ job, step, name }) => {
+    const key = `${job} ${name}`;
+    if (known.current.get(key)?.step !== step) {
+      known.current.set(key, { step, curve: await curveOf(`/jobs/${job}/metrics`, name, { points: POINTS }) });
     }
-    return known.current.get(job).curve;
+    return known.current.get(key).curve;
   };
   const loadLines = async () => {
     const lines = [];
