@@ -233,7 +233,7 @@ def test_seeds_that_one_job_trains_are_a_band(stack: Stack, make_tab: MakeTab) -
         groups = page.get_by_role("region", name="Seeds of one setting together")
         expect(groups.get_by_role("row").nth(1)).to_contain_text("215")  # Two seeds, and their mean
         page.locator(".bands").scroll_into_view_if_needed()
-        expect(page.get_by_role("img", name=re.compile("mean of 2 seeds: last 15 at 1k"))).to_be_visible()
+        expect(page.get_by_role("img", name=re.compile("mean of 2 seeds: last 15 at 1"))).to_be_visible()
         assert tab.violations() == []
 
 
