@@ -170,6 +170,17 @@ def test_triton_takes_what_the_kernels_do(activation: str) -> None:
     assert all(program.count(f"ppo_{name}") for name in ("values", "advantages", "gradients"))
 
 
+def test_triton_takes_the_kernels_of_several_seeds() -> None:
+    spec = settings()
+    _, params, batch = networks_and_batch(spec)
+    own = jax.tree.map(lambda x: jnp.stack([x, x]), (params, ADAM.init(params), batch, jax.random.PRNGKey(0)))
+    seeds = jax.vmap(lambda p, o, b, key, h: learn(spec, (p, o), b, h, key), (0, 0, 0, 0, None))
+    program = (
+        jax.jit(seeds).trace(*own, Hyperparameters.of(spec)).lower(lowering_platforms=("cuda",)).as_text()
+    )
+    assert all(program.count(f"ppo_{name}") for name in ("values", "advantages", "gradients"))
+
+
 def test_packed_parameters_come_back_and_the_padding_is_zero() -> None:
     spec = settings()
     _, params, _ = networks_and_batch(spec)
