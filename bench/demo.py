@@ -20,7 +20,6 @@ from gaitway.schema import JobView
 from gaitway.service.demo import DemoOptions
 from gaitway.views import Event
 
-_CLONE_S = 1200.0
 _QUICK = {"num_timesteps": 20_480, "num_eval_envs": 2, "episode_length": 20, "num_evals": 1}
 
 
@@ -89,7 +88,7 @@ def _fresh_clone_s(folder: Path) -> float:
     began = time.perf_counter()
     for command, where in ((clone, Path.cwd()), (demo, folder)):
         done = subprocess.run(
-            command, cwd=where, env=environment, capture_output=True, text=True, check=False, timeout=_CLONE_S
+            command, cwd=where, env=environment, capture_output=True, text=True, check=False, timeout=1200
         )
         if done.returncode:
             raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr[-3000:]}")
