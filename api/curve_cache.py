@@ -67,7 +67,7 @@ class CurveCache:
     def _read_on(self, job_id: str, known: _Known, names: frozenset[str] | None) -> None:
         """Read the entries that came since, or the whole feed if it has metrics that were not kept.
 
-        Of a whole feed, what lies in columns comes from there: parsing those takes no time worth a turn.
+        Columns are read first where they exist: decoding them is cheap, so it waits for no turn.
         """
         if not known.has(names):
             known.names = None if names is None or known.names is None else known.names | names

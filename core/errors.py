@@ -287,7 +287,7 @@ class RecordsRefuse(RecordsUnavailable):
     """The store answers, but refuses until a setting is changed."""
 
     code = "records-refuse"
-    title = "The job records refuse"
+    title = "PostgreSQL refuses the service's requests"
 
 
 class NoWorker(Unavailable):

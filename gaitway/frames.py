@@ -9,7 +9,7 @@ from gaitway.schema import MetricsRow
 
 
 def maker(as_: str) -> Callable[[Sequence[MetricsRow]], Any]:
-    """What makes of rows the kind asked for: `rows`, `pandas` or `polars`.
+    """A function that converts rows to the kind asked for: `rows`, `pandas` or `polars`.
 
     Raises ValueError for another kind, and MissingExtra where its package is not installed.
     """

@@ -141,7 +141,7 @@ class Task(Stored):
     checkpoint of several seeds. best: of a training's earlier attempts, one for each seed. model:
     path of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with
     the reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint,
-    which `auto` then takes again. lent_by: the engine that moved the environments in another job's
+    which `auto` then takes again. source_engine: the engine that moved the environments in another job's
     checkpoint, which `auto` takes if no other can. commit: of the code that runs.
     """
 
@@ -158,5 +158,5 @@ class Task(Stored):
     engines_that_cannot: dict[EngineName, str] = {}
     body: BodySize | None = None
     begun_on: EngineName | None = None
-    lent_by: EngineName | None = None
+    source_engine: EngineName | None = None
     commit: str | None = None

@@ -197,7 +197,7 @@ def _policy(job: Job, asked: PolicyFile) -> Artifact:
     name = f"{stem}.{_ENDINGS[form]}"
     found = next((artifact for artifact in job.artifacts if artifact.name == name), None)
     if found is not None and own is not None and found.step != own.step:
-        found = None  # Of an attempt before, which had another best one.
+        found = None  # It belongs to an earlier attempt, whose best policy was another.
     if found is None and own is not None and job.status.is_final:
         detail = (
             f"Job {job.id} has a {stem} and no {name}: either its events say why, or a version that wrote "

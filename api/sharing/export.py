@@ -21,9 +21,9 @@ from core.jobs.store import Channel, Entry
 from core.storage import keys
 from core.storage.whole import check_whole
 
-# Raised when a reader of before could misunderstand it.
+# Increase it when an older reader would misread the file.
 FORMAT = 1
-# Of these only the newest file goes along.
+# Only the newest file of each of these roles is exported.
 _NEWEST_ALONE = ("checkpoint", "video", "poster")
 # Roles whose content is in the zip already, in a form that every program reads.
 _LEFT_OUT = ("metrics", "log", "tensorboard", "wandb")
@@ -74,7 +74,7 @@ def export(job: Job, service: Service) -> Iterator[Member]:
 
 
 def versions(job: Job) -> dict[str, Any]:
-    """Of this service, and of what each attempt ran with, as its worker reported it."""
+    """The versions of this service, and those that each attempt ran with, as its worker reported them."""
     return {
         "service": {"gaitway": version("gaitway"), "python": platform.python_version()},
         "attempts": [

@@ -62,11 +62,11 @@ def keep_compiled(cache: str, engine: str) -> None:
     import jax
 
     from core.physics.compiled.code.kept_code import keep_code
-    from core.physics.kernels import keep_kernels
+    from core.physics.warp_cache import set_warp_cache
 
     jax.config.update("jax_compilation_cache_dir", cache)
     if engine == "warp":
-        keep_kernels(Path(cache, "warp"))
+        set_warp_cache(Path(cache, "warp"))
     if engine == "compiled":
         keep_code(Path(cache, "compiled"))
 

@@ -52,7 +52,7 @@ def measure(arguments: argparse.Namespace) -> Iterator[Figure]:
             yield middle("from the kill of a worker to the job's return to the queue", seen, "s", at_most=15)
             yield middle("from the kill of a worker to the next training step", trains, "s", at_most=30)
             yield from _costs("a retry", [one.attempt_s for one in lost], [one.attempt_s for one in damaged])
-            lent = [_lent_checkpoint(stack, client, store) for _ in rounds]
+            lent = [_source_checkpoint(stack, client, store) for _ in rounds]
             yield from _costs("`resume_from`", [one.whole_s for one in lent], [one.damaged_s for one in lent])
             refused = [one.refused_s for one in lent]
             yield middle("until `GET` of a damaged checkpoint is refused", refused, "s", at_most=15)
@@ -103,7 +103,7 @@ class _Lent:
     refused_s: float
 
 
-def _lent_checkpoint(stack: Stack, client: Client, store: Path) -> _Lent:
+def _source_checkpoint(stack: Stack, client: Client, store: Path) -> _Lent:
     """Two jobs that resume from another's newest checkpoint, the second one after that was damaged."""
     until(lambda: len(list(client.workers())) >= 2)
     source = client.submit(**_ANT)

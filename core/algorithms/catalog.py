@@ -21,7 +21,7 @@ from core.algorithms.spec import BaseSpec
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
 
-DEFAULT_ALGORITHM = "ppo"  # Of a job that names none.
+DEFAULT_ALGORITHM = "ppo"  # A job that names no algorithm gets this one.
 
 
 def _default_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:

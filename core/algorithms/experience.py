@@ -18,7 +18,7 @@ from core.environments.wrappers.lost_bodies import without_lost
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import OVERFLOW
 
-# Of the steps of an update, the share that may lose a body; a run that loses more has diverged.
+# The share of an update's steps that may lose a body; a run that loses more has diverged.
 _MOST_LOST = 0.01
 
 # One number for each of N environments, at one step or at each of T.

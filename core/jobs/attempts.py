@@ -41,7 +41,9 @@ class Claim:
         longer names: clients may still be reading them.
         """
         dropped: list[str] = []
-        promised = [step for _, step in self.store.borrowers_of(self.job_id) if step is not None]
+        promised = [
+            step for _, step in self.store.jobs_needing_checkpoint_of(self.job_id) if step is not None
+        ]
 
         def change(job: Job) -> Job:
             changed = job.with_artifacts(artifacts).with_newest_checkpoints(keep_checkpoints, promised)
@@ -51,7 +53,7 @@ class Claim:
 
         return self._change(change), dropped
 
-    def strike(self, artifact: Artifact) -> Job:
+    def remove_artifact(self, artifact: Artifact) -> Job:
         """Remove a file from the record, because it is damaged or gone."""
         return self._change(lambda job: job.without_artifacts([artifact]))
 

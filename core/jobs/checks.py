@@ -47,7 +47,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     info, _ = chosen(spec.environment, store)
     if spec.physics != "auto" or not info.own_physics:
         check_physics(spec.physics, info.cannot_run)
-    _check_num_envs(spec, info)
+    _check_randomization(spec, info)
     _check_video(spec, info)
     _check_gpus(spec)
     match spec:
@@ -92,7 +92,7 @@ def _check_video(spec: JobSpec, info: EnvironmentInfo) -> None:
         raise Rejected(detail, [Problem("/video/episodes", detail), Problem("/num_episodes", detail)])
 
 
-def _check_num_envs(spec: JobSpec, info: EnvironmentInfo) -> None:
+def _check_randomization(spec: JobSpec, info: EnvironmentInfo) -> None:
     if spec.randomization and info.own_physics:
         detail = f"{info.id} runs on Brax's own physics, which has no domain randomization."
         raise Rejected(detail, [Problem("/randomization", detail)])

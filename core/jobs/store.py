@@ -113,7 +113,7 @@ class FeedPart:
 
 @dataclass(frozen=True)
 class MeasuredPart:
-    """As `FeedPart`, but of entries behind the chunks only those of the kind `metrics`.
+    """Like `FeedPart`, but with only the `metrics` entries after the chunks.
 
     last: the number of the last entry of any kind; 0 if there is none.
     """
@@ -320,7 +320,7 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         """The ids of unfinished jobs that name this model."""
         ...
 
-    def borrowers_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
+    def jobs_needing_checkpoint_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
         """The ids of unfinished jobs that need a checkpoint of this one, each with the step that it names."""
         ...
 

@@ -18,7 +18,7 @@ PACKAGES: Mapping[EngineName, str] = {"compiled": "llvmlite", "warp": "warp"}
 
 @dataclass(frozen=True)
 class BodySize:
-    """Of a user's own model: its degrees of freedom, and pairs of geoms that may touch."""
+    """The size of a user's own model: its degrees of freedom, and pairs of geoms that may touch."""
 
     num_dofs: int
     num_pairs: int

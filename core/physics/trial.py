@@ -50,8 +50,11 @@ class Reference:
 
 @dataclass(frozen=True)
 class Difference:
-    """Of an engine from C MuJoCo, in parts of the motion: half of the tries differ by `half` at most, nine of
-    ten by `most`. quantity: the field that differs most. broken: tries that ended as NaN."""
+    """How far an engine is from C MuJoCo, in parts of the motion.
+
+    Half of the tries differ by `half` at most, nine of ten by `most`. quantity: the field that differs most.
+    broken: tries that ended as NaN.
+    """
 
     quantity: str
     half: float

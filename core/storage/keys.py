@@ -18,7 +18,7 @@ PREVIEW_RECORD = "about.json"
 
 
 def folders() -> tuple[str, ...]:
-    """Of everything that the service keeps."""
+    """The folders of everything that the service keeps."""
     return (jobs(), models(), previews(), caches())
 
 

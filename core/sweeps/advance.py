@@ -144,7 +144,7 @@ def _starts(
 
 
 def _start(spec: SweepSpec, seen: Sequence[Seen], steps_of: Callable[[Values], int]) -> Start:
-    """Of the trial after these. Raises pbt.DiedOut; Misconfigured where the method lacks a package."""
+    """The start of the next trial. Raises pbt.DiedOut; Misconfigured where the method lacks a package."""
     number = len(seen)
     if spec.population is not None:
         begun = pbt.beginning(spec, spec.population, [one.trial for one in seen])

@@ -24,7 +24,7 @@ def grid_values(axis: Axis) -> list[JsonValue]:
 
 
 def num_combinations(parameters: Mapping[str, Axis]) -> int:
-    """Of a grid; counted without making the values, which may be very many."""
+    """The size of a grid, counted without making the values, which may be very many."""
     return math.prod(map(_num_values, parameters.values()))
 
 
@@ -98,7 +98,7 @@ def neighbours(choices: Sequence[JsonValue], value: JsonValue) -> list[JsonValue
 
 
 def position(choices: Sequence[JsonValue], value: JsonValue) -> int:
-    """Of the value among the choices; `true` and 1 are equal in Python."""
+    """The index of the value among the choices; it compares types, because `true == 1` in Python."""
     return next(at for at, one in enumerate(choices) if type(one) is type(value) and one == value)
 
 

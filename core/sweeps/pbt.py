@@ -42,7 +42,7 @@ class DiedOut(Exception):
 
 
 def beginning(spec: SweepSpec, population: Population, trials: Sequence[Trial]) -> Beginning:
-    """Of the trial after these, of which those of earlier generations have ended. Raises DiedOut.
+    """The beginning of the next trial; trials of earlier generations have ended. Raises DiedOut.
 
     A member continues, unless it is among the worst or has no value: then it takes the checkpoint of one of
     the best, and changes its settings.

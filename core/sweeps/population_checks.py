@@ -16,7 +16,7 @@ from core.sweeps.pbt import LENGTH, steps_until
 from core.sweeps.spec import Population, SweepSpec
 
 _OF_THE_ALGORITHM = "algorithm."
-# Of one axis; resolving settings takes a fraction of a millisecond.
+# Most values tried of one axis; resolving settings takes a fraction of a millisecond.
 _MAX_TRIED = 16
 
 

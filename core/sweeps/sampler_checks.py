@@ -9,7 +9,7 @@ from core.sweeps.spec import Range, SweepSpec
 
 
 def problems_of_sampler(spec: SweepSpec) -> Iterator[Problem]:
-    """Of a sweep by `cma_es`; the other samplers take every axis and any number of objectives."""
+    """Problems of a sweep by `cma_es`; the other samplers take every axis and any number of objectives."""
     if spec.method != "cma_es":
         return
     if len(spec.objectives) > 1:

@@ -54,7 +54,7 @@ class _Positions(optuna.distributions.CategoricalDistribution):
 
 # Random draws before the model of good and bad settings begins, as in Optuna.
 _STARTUP_TRIALS = 10
-# Of NSGA-II: Optuna's 50 would leave most sweeps in their first generation, which is random.
+# NSGA-II's population: Optuna's 50 would leave most sweeps in their first generation, which is random.
 _POPULATION = 20
 
 

@@ -19,7 +19,7 @@ class SweepPage:
 
 @dataclass(frozen=True)
 class SweepMark:
-    """What decides about an active sweep: while this is equal, there is nothing new to do for it.
+    """The versions that decide about an active sweep: while this is equal, there is nothing new to do for it.
 
     going: the jobs of its trials that have not ended, and their versions. events: how many events these have.
     """

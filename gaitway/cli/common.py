@@ -67,7 +67,7 @@ def name_to_model(client: Client, options: Any) -> None:
 
 
 def full_id(name: str, newest: Callable[[int], Iterable[JobView | SweepView]], what: str) -> str:
-    """As `job_id`, of a job or a sweep. newest: so many of them, the newest first."""
+    """As `job_id`, of a job or a sweep. newest: how many, the newest first."""
     if len(name) == ID_LENGTH:
         return name
     ids = [one.id for one in newest(1 if name == "last" else SEARCHED)]

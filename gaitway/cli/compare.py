@@ -25,7 +25,7 @@ _METRICS = {
     "speed in m/s": ("eval/forward_speed", "training/forward_speed"),
 }
 _NAMES = [name for names in _METRICS.values() for name in names]
-# Of each metric the service keeps the last value, and the least and greatest of each part.
+# The service keeps each metric's last value, and the least and greatest of each part.
 _POINTS = 4
 _MOST = 20
 

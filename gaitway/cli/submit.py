@@ -32,7 +32,7 @@ JOB_FIELDS = frozenset(
         *("policy", "num_steps", "num_episodes", "deterministic"),
     }
 )
-# Of the algorithms without `num_timesteps`: what says how long they learn.
+# The option that says how long an algorithm without `num_timesteps` learns.
 _LENGTHS = {"q_learning": "algorithm.num_episodes=2000"}
 
 Assignments = Annotated[

@@ -17,7 +17,7 @@ from gaitway import exported_policy
 from gaitway.errors import PolicyUnreadable
 from gaitway.policies import checkpoint
 
-# Of checkpoints.
+# Formats of checkpoints.
 PPO, SAC, DQN = "gaitway-ppo-2", "gaitway-sac-1", "gaitway-dqn-1"
 # Names in jax.nn.
 _ACTIVATIONS = ("swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus")

@@ -99,7 +99,7 @@ def _sector_of_target(seen: Seen, num_arms: int) -> jax.Array:
 
 
 def _steps_to_target(seen: Seen, num_arms: int) -> jax.Array:
-    """[num_arms] int32: how many arms on, counter-clockwise, the target's sector lies from each."""
+    """[num_arms] int32: how many arms each lies clockwise of the one that faces the target."""
     return jnp.mod(_sector_of_target(seen, num_arms) - jnp.arange(num_arms), num_arms).astype(jnp.int32)
 
 

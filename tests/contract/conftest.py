@@ -10,7 +10,7 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from core.physics.kernels import keep_kernels
+from core.physics.warp_cache import set_warp_cache
 from tests.contract.recording import Database
 
 
@@ -28,7 +28,7 @@ def warp_kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # each process of xdist has a folder of its own in there
-    keep_kernels(folder / "warp")
+    set_warp_cache(folder / "warp")
     if not warp.is_cuda_available():  # CUDA 13's compiler is unsafe so, and Warp warns of it.
         warp.config.optimization_level = 0  # Halves the time that compiling takes.
     return folder / "warp"

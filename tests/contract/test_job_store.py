@@ -363,8 +363,8 @@ class TestNames:
         for job in (resumed, rollout, ended):
             jobs.add(job)
         jobs.save(cancelled(ended))
-        assert jobs.borrowers_of(source) == [(resumed.id, 10), (rollout.id, None)]
-        assert jobs.borrowers_of(resumed.id) == []
+        assert jobs.jobs_needing_checkpoint_of(source) == [(resumed.id, 10), (rollout.id, None)]
+        assert jobs.jobs_needing_checkpoint_of(resumed.id) == []
 
     def test_artifacts_and_chunks_are_named_objects(self, jobs: JobStore) -> None:
         first, second, third = (held(jobs, queued_job(i)) for i in range(3))

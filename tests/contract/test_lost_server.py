@@ -71,7 +71,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "replace_chunk": lambda jobs: jobs.replace_chunk(job.id, CHUNK, CHUNK),
         "marks": lambda jobs: jobs.marks([job.id]),
         "users_of": lambda jobs: jobs.users_of(MODEL),
-        "borrowers_of": lambda jobs: jobs.borrowers_of(job.id),
+        "jobs_needing_checkpoint_of": lambda jobs: jobs.jobs_needing_checkpoint_of(job.id),
         "objects_named": lambda jobs: jobs.objects_named([job.id]),
         "announce": lambda jobs: jobs.announce(worker("a"), LEASE),
         "withdraw": lambda jobs: jobs.withdraw("a"),

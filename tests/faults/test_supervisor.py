@@ -111,7 +111,7 @@ def test_a_job_that_resumes_from_another_knows_the_engine_that_moved_its_environ
     kept = bench.store.get(job.id).newest("policy")
     assert kept is not None
     task = json.loads(bench.objects.get(kept.key))
-    assert (task["lent_by"], task["begun_on"]) == ("mjx", None)
+    assert (task["source_engine"], task["begun_on"]) == ("mjx", None)
 
 
 def test_attempts_run_out(bench: Bench) -> None:

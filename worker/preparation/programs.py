@@ -47,7 +47,7 @@ def prepare(
     chosen = task.spec.environment
     name = f"{cached_as(chosen)}-{version('gaitway')}-{fingerprint(device)}"
     done, own = folder / PREPARED / name, folder / SPOOLS / f"prepare-{name}"
-    # Of the workers with equal devices one prepares; the others wait for its spool.
+    # One of the workers with equal devices prepares; the others wait for its spool.
     with spool(own), tempfile.TemporaryFile() as said:
         if done.exists():
             return

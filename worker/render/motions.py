@@ -5,7 +5,7 @@ from core.rendering.timeline import Motion
 
 
 def motion_of(episode: Episode) -> Motion:
-    """What of an episode is drawn."""
+    """The part of an episode that is drawn."""
     return Motion(
         episode.time,
         episode.qpos.astype("float64"),

@@ -34,8 +34,8 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
     task = _as_begun(task, job.begun)
     checkpoint = _own_checkpoint(job, claim, spool, notes)
     if checkpoint is None:
-        checkpoint = _lent_checkpoint(job, claim, spool, notes)
-        task = _as_lent(task, claim)
+        checkpoint = _source_checkpoint(job, claim, spool, notes)
+        task = _with_source(task, claim)
     if checkpoint is not None:
         task = task.model_copy(update={"checkpoint": _FILE, "checkpoint_step": checkpoint.step or 0})
     best = (_best_so_far(job, seed, claim, spool, notes) for seed in job.seeds or (None,))
@@ -54,13 +54,13 @@ def _own_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> Ar
                 notes.append(f"The run resumes from step {checkpoint.step}.")
             return checkpoint
         notes.append(damage)
-        job = claim.strike(checkpoint)
+        job = claim.remove_artifact(checkpoint)
     if notes:
         notes.append("No checkpoint of this job is whole: the run starts again.")
     return None
 
 
-def _lent_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> Artifact | None:
+def _source_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> Artifact | None:
     """The one that the specification names; or the newest whole one of the job that it names."""
     source = job.spec.source
     if source is None:
@@ -93,7 +93,7 @@ def _best_so_far(job: Job, seed: int | None, claim: Claim, spool: Path, notes: l
     if (damage := _fetch(kept, claim.objects, spool / path)) is None:
         return BestSoFar(seed=seed, path=path, step=kept.step or 0, episode_return=found)
     notes.append(f"{damage} The best evaluation from now on takes its place.")
-    claim.strike(kept)
+    claim.remove_artifact(kept)
     return None
 
 
@@ -118,7 +118,7 @@ def _as_begun(task: Task, begun: Attempt | None) -> Task:
     return task.model_copy(update={"spec": spec, "begun_on": _choice(begun.engine)})
 
 
-def _as_lent(task: Task, claim: Claim) -> Task:
+def _with_source(task: Task, claim: Claim) -> Task:
     """The task with what it must know of the job whose checkpoint or policy it takes, if it takes one.
 
     A training may go on in the checkpoint's environments; the file of a policy does not name its algorithm.
@@ -126,14 +126,14 @@ def _as_lent(task: Task, claim: Claim) -> Task:
     spec, source = task.spec, task.spec.source
     if source is None:
         return task
-    lender = claim.store.get(source.job)
-    if source.is_best and isinstance(lender.spec, TrainSpec):
-        return task.model_copy(update={"policy_of": lender.spec.algorithm.algorithm()})
-    if isinstance(spec, RolloutSpec) and lender.seeds:
-        seed = lender.seeds[0] if source.seed is None else source.seed
+    source_job = claim.store.get(source.job)
+    if source.is_best and isinstance(source_job.spec, TrainSpec):
+        return task.model_copy(update={"policy_of": source_job.spec.algorithm.algorithm()})
+    if isinstance(spec, RolloutSpec) and source_job.seeds:
+        seed = source_job.seeds[0] if source.seed is None else source.seed
         return task.model_copy(update={"policy_seed": seed})
     if isinstance(spec, TrainSpec) and spec.algorithm.checkpoint_holds_envs:
-        return task.model_copy(update={"lent_by": _choice(lender.engine)})
+        return task.model_copy(update={"source_engine": _choice(source_job.engine)})
     return task
 
 

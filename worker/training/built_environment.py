@@ -129,8 +129,8 @@ def _that_can_go_on(choice: EngineChoice, task: Task) -> EngineChoice:
     """The choice, or the engine that made the checkpoint where the run needs that one."""
     if task.begun_on is not None:
         return EngineChoice(task.begun_on, "The job's checkpoint was made on it.")
-    if task.lent_by is not None and not share_states(choice.name, task.lent_by):
-        return EngineChoice(task.lent_by, "The checkpoint that the job resumes from was made on it.")
+    if task.source_engine is not None and not share_states(choice.name, task.source_engine):
+        return EngineChoice(task.source_engine, "The checkpoint that the job resumes from was made on it.")
     return choice
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import jax
 
 from core.physics.compiled.code.kept_code import keep_code
-from core.physics.kernels import keep_kernels
+from core.physics.warp_cache import set_warp_cache
 from worker.compile_cache.local import CACHE
 
 
@@ -24,7 +24,7 @@ def keep_programs() -> None:
 def keep_warp_kernels() -> None:
     """Cache Warp's kernels, too. Raises JobFailed without Warp."""
     if Path(CACHE).is_dir():
-        keep_kernels(Path(CACHE, "warp").absolute())
+        set_warp_cache(Path(CACHE, "warp").absolute())
 
 
 def keep_machine_code() -> None:

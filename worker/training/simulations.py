@@ -24,7 +24,7 @@ def keep_simulation(environment: Environment, events: EventWriter) -> None:
 
 
 def _document(environment: Environment) -> dict[str, Any]:
-    """Of the body as its model says; a randomised one differs from it in each episode."""
+    """The simulation of the body as its model says; a randomised body differs from it in each episode."""
     while isinstance(environment, Wrapped):
         environment = environment.environment
     if not isinstance(environment, MujocoEnv):

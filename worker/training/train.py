@@ -238,7 +238,7 @@ class Report:
         self._metrics.update((name, value) for name, value in metrics.items() if not is_of_a_seed(name))
 
     def _warn(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Of each once; how often it happens from then on is a metric, but for one that is no number."""
+        """Warn once per kind. How often it happens is a metric, except for numbers that are not finite."""
         for name, value in metrics.items():
             if not math.isfinite(value) and name not in self._warned_of:
                 self._warned_of.add(name)

@@ -170,7 +170,7 @@ class Jobs(Session):
         with self._statements() as connection:
             return connection.execute(wanted.order_by(jobs.c.id)).scalars().all()
 
-    def borrowers_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
+    def jobs_needing_checkpoint_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
         with self._statements() as connection:
             return [(row.id, row.source_step) for row in connection.execute(_borrowers_of(job_id))]
 

@@ -52,7 +52,7 @@ class Network:
 
     @property
     def size_bytes(self) -> int:
-        """Of its numbers."""
+        """The size of all weights and biases."""
         return sum(layer.kernel.nbytes + layer.bias.nbytes for layer in self.layers)
 
 

@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from core.algorithms.export.contract import as_text
 from core.algorithms.export.network import Network, NotExportable
 
-# Of 2021: what runtimes of phones and robots read, too.
+# The versions of 2021, which runtimes of phones and robots read, too.
 _OPSET, _IR_VERSION = 15, 8
 # A file of Protocol Buffers holds 2 GiB.
 _MOST_BYTES = 2**31 - 2**20

@@ -81,7 +81,7 @@ def act(
 
 
 def progress(environment: Environment, settings: OffPolicySpec, num_updates: jax.Array) -> jax.Array | None:
-    """Of the environment's curriculum after `num_updates` [] int32, from 0 to 1; None without one."""
+    """The curriculum's progress after `num_updates` [] int32, from 0 to 1; None without a curriculum."""
     return progress_at(environment, num_updates, settings.env_steps_per_update)
 
 
@@ -126,7 +126,7 @@ def _rows(transitions: Transition, outcome: Outcome) -> replays.Rows:
 
 
 def training_metrics(sums: Mapping[str, Any], num_updates: int, action_repeat: int) -> dict[str, float]:
-    """By Brax's names, of sums over `num_updates` updates; lengths are in environment steps."""
+    """Means over an epoch, under Brax's names. Lengths count environment steps."""
     values = {name: float(value) for name, value in sums.items()}
     episodes, score, length, falls = (values.pop(name) for name in ("episodes", "score", "length", "falls"))
     metrics = {f"training/{name}": value / num_updates for name, value in values.items()}

@@ -189,7 +189,7 @@ class Learner:
         return VectorEnv(self.environment, self.sharding.mesh)
 
     def _progress(self, num_updates: jax.Array) -> jax.Array | None:
-        """Of the environment's curriculum, if it has one."""
+        """The curriculum's progress, if the environment has a curriculum."""
         return progress_at(self.environment, num_updates, self.settings.env_steps_per_update)
 
     def _envs_at(self, progress: jax.Array | None) -> VectorEnv:

@@ -85,7 +85,7 @@ ADAM = optax.scale_by_adam()
 
 
 def clipped(gradient: Any, bound: jax.Array) -> tuple[Any, jax.Array]:
-    """The gradient, no longer than `bound` [], and the norm [] that it had."""
+    """The gradient scaled to a norm of at most `bound` [], and its norm [] before."""
     norm = optax.tree.norm(gradient)
     return jax.tree.map(lambda g: jnp.where(norm < bound, g, g / norm * bound), gradient), norm
 

@@ -246,7 +246,7 @@ class Learner:
         return means | {"unseen": jnp.any(after.obs < 0)}
 
     def _summarise(self, seen: dict[str, jax.Array], alive: jax.Array) -> dict[str, jax.Array]:
-        """Of one round, [agents]: means over its episodes; of the environment's metrics, over decisions."""
+        """One round's metrics, [agents]: means over episodes; the environment's are means over decisions."""
         totals = {name: jnp.sum(values, axis=0) for name, values in seen.items()}
         length = totals.pop("alive")
         score = totals.pop("score")

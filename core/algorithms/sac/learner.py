@@ -148,7 +148,7 @@ class Learner:
 
     @property
     def _sizes(self) -> tuple[int, int]:
-        """Of an observation and an action."""
+        """The sizes of an observation and an action."""
         return observation_size(self.environment, self.settings), self.environment.action_size
 
     def _unlearnt(self, learnt: Learnt) -> tuple[Learnt, dict[str, jax.Array]]:

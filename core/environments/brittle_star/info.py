@@ -106,7 +106,7 @@ def _cannot_run(options: Options) -> Mapping[EngineName, str]:
 def _beyond_compiled(options: Options) -> str | None:
     """What the engine `compiled` lacks."""
     num_segments = sum(options.segments)
-    # Of the disk, and of each segment's limits and points; and the same with the walls.
+    # Rows of the disk, of each segment's limits and points, and of their contacts with the walls.
     rows = 26 + 14 * num_segments + (94 + 48 * num_segments if options.walls == "contacts" else 0)
     if rows > _MOST_ROWS:
         return f"it can have more than {_MOST_ROWS} constraint rows at once"

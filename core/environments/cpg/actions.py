@@ -24,7 +24,7 @@ from core.physics.engine import NOMINAL, ModelFields
 # So that the body starts as it would without oscillators.
 _OWN_KEY = 0x637067
 _PREFIX = "cpg_"
-# Of the gait's amplitudes: the choices of an arm that only says how far it rows.
+# Multiples of the gait's amplitudes: the choices of an arm that only says how far it rows.
 _FACTORS = (0.0, 0.5, 1.0)
 
 

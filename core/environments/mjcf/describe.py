@@ -48,7 +48,7 @@ def inventory(model: mujoco.MjModel) -> Inventory:
 
 
 def _num_pairs(model: mujoco.MjModel) -> int:
-    """Of geoms that may touch; a scene of thousands of geoms has too many to count them all."""
+    """The number of pairs of geoms that may touch, counted up to `_MOST_PAIRS`."""
     return sum(1 for _ in islice(chain(listed_geoms(model), touching_geoms(model)), _MOST_PAIRS))
 
 

@@ -147,7 +147,7 @@ def _sensor(sensor: Sensor) -> Slice:
 
 
 def _rows(name: str, bodies: list[str] | None, model: Inventory, parts: Sequence[str], unit: str) -> Slice:
-    """Of these bodies, or of all but the world; without components if not all of them have names."""
+    """The slice of these bodies, or of all but the world; without components if one has no name."""
     number = model.sizes.nbody - 1
     all_named = [body for body in model.bodies if body != "world"]
     if bodies is None and len(all_named) != number:

@@ -15,7 +15,7 @@ from core.environments.wrappers.autoreset import select
 def without_lost(before: State, after: State) -> tuple[State, jax.Array]:
     """`after` [N, ...] a step, and which bodies it lost, [N] bool.
 
-    A lost one stands where it was before the step, its episode ends, and its reward and metrics are 0. A
+    A lost body keeps the state before the step, its episode ends, and its reward and metrics are 0. A
     reward that is not finite though the body's state is: that is the task's error, and it stays.
     """
     lost = ~_is_finite(after)

@@ -51,7 +51,10 @@ def _add_skin(glb: Glb, materials: Materials, model: mujoco.MjModel, skin: int, 
 
 
 def heaviest(weights: Floats) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
-    """Of weights [V, bones] the heaviest four of each point [V, 4], scaled so that they sum up to one."""
+    """The four heaviest bones of each point [V, 4] and their weights [V, 4], scaled to a sum of one.
+
+    weights: [V, bones].
+    """
     padded = np.pad(weights, ((0, 0), (0, max(0, _BONES_PER_POINT - weights.shape[1]))))
     joints = np.argsort(-padded, axis=1, kind="stable")[:, :_BONES_PER_POINT]
     chosen = np.take_along_axis(padded, joints, axis=1)

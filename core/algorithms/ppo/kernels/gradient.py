@@ -299,7 +299,7 @@ def _named(sizes: Sizes, of_tiles: jax.Array, hyper: jax.Array) -> jax.Array:
 
 
 def _tile(sizes: Sizes, refs: Any, number: Any) -> tuple[Any, Any, Any]:
-    """Of a tile: its time, its unrolls [rows], and where its samples lie in arrays [T, B]."""
+    """A tile's time, its unrolls [rows], and where its samples lie in arrays [T, B]."""
     time = number // sizes.num_blocks
     columns = (number % sizes.num_blocks) * sizes.rows + jnp.arange(sizes.rows)
     return time, refs.order[refs.which[0] * sizes.batch_size + columns], time * sizes.batch_size + columns

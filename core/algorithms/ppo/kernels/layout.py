@@ -131,12 +131,12 @@ class Sizes:
 
     @property
     def rows(self) -> int:
-        """Of a tile: unrolls at one time."""
+        """Rows of a tile: unrolls at one time."""
         return rows_of_a_tile(self.batch_size)
 
     @property
     def samples(self) -> int:
-        """Of a minibatch."""
+        """Samples of a minibatch."""
         return self.batch_size * self.unroll_length
 
     @property
@@ -145,18 +145,18 @@ class Sizes:
 
     @property
     def num_blocks(self) -> int:
-        """Of unrolls, each of whose advantages one block of threads estimates."""
+        """Blocks of unrolls; one block of threads estimates the advantages of each."""
         return self.batch_size // self.rows
 
 
 # A block of threads holds a tile of activations and a layer's gradient in its registers.
 _WIDEST_LAYER, _WIDEST_OBSERVATION = 64, 128
-# Those that Triton has, and that leave the padding at zero.
+# Activations that Triton supports and that map zero padding to zero.
 _ACTIVATIONS = ("tanh", "swish", "relu", "elu")
 # Triton's matrix products begin with NVIDIA's Ampere.
 _LEAST_COMPUTE_CAPABILITY = 8.0
 _MOST_ROWS, _LEAST_ROWS = 64, 16
-# Of a minibatch: each adds up what all tell of the advantages.
+# Most blocks per minibatch; every block sums the advantage statistics of all.
 _MOST_BLOCKS = 64
 
 

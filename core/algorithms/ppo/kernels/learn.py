@@ -75,7 +75,7 @@ def _sizes(settings: PPOSpec, batch: Transition, *, interpret: bool) -> Sizes:
 
 
 def _flattened(batch: Transition) -> Batch:
-    """Of a batch whose last axis of observations, [..., 1, obs], follows the unroll."""
+    """The batch as flat arrays. Its bootstrap observation, [..., 1, obs], is appended to the unroll."""
     extras: Any = batch.extras
     acted, told = extras["policy_extras"], extras["state_extras"]
     seen = jnp.concatenate([batch.observation, batch.next_observation], axis=1)

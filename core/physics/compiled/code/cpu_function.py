@@ -94,7 +94,7 @@ def cpu_function(program: Program, name: str, width: int, section_size: int | No
 
 
 def _declarations(target: Target) -> list[str]:
-    """Of the functions that `_Rows` calls."""
+    """LLVM's declarations of the functions that `_Rows` calls."""
     pointers, kind = target.of("ptr"), f"v{target.width}f32.v{target.width}p0"
     return [
         f"declare {target.number} @llvm.masked.gather.{kind}"

@@ -8,7 +8,7 @@ import numpy as np
 from core.physics.compiled.code.arrays import array_sizes
 from core.physics.compiled.code.long_writer import Frame, write_code
 from core.physics.compiled.code.steps import num_operations
-from core.physics.compiled.code.writer import Meeting, Target, Writer
+from core.physics.compiled.code.writer import Barrier, Target, Writer
 from core.physics.compiled.program.program import Program
 
 TRIPLE = "nvptx64-nvidia-cuda"
@@ -21,7 +21,7 @@ _ALONE = Target(1, allowed="afn arcp")
 _LARGE = 20_000
 _TOGETHER = replace(
     _ALONE,
-    meeting=Meeting(
+    barrier=Barrier(
         every=1_000,
         wait="call void @llvm.nvvm.barrier.cta.sync.aligned.all(i32 0)",
         any="call i1 @llvm.nvvm.barrier.cta.red.or.aligned.all",
@@ -37,7 +37,7 @@ _SHUFFLE = "llvm.nvvm.shfl.sync.bfly.f32"
 class _Rows:
     """Arrays [environments, size] in the card's memory.
 
-    num_threads: of an environment, of which those after the last lane do what the first does. places,
+    num_threads: threads per environment; those beyond `num_lanes` repeat lane 0. places,
     constants: tables of what differs between lanes, a row for each use.
     """
 
@@ -52,7 +52,7 @@ class _Rows:
         writer.line(f"{target} = load float, {_GLOBAL} {pointer}, !invariant.load !0")
 
     def store(self, writer: Writer, name: str, places: Sequence[int], value: str) -> None:
-        """What all lanes have is written by the first."""
+        """The first lane writes what all lanes have."""
         pointer = self._pointer(writer, name, places)
         writes = "%writes" if len(places) == self.num_lanes else "%leads"
         done, written = writer.name()[1:], writer.name()[1:]

@@ -200,7 +200,7 @@ class _SectionWriter:
         writer = self.writer
         self._load(one for _, one in section.moves)
         values = {variable: writer.operand(one) for variable, one in section.moves}
-        # A single environment is where it moves.
+        # With a width of 1 no mask is needed.
         if section.where is not None and writer.target.width > 1:
             self._load([section.where, *values])
             for variable, value in values.items():

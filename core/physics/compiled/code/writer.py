@@ -23,10 +23,10 @@ _INTRINSICS = ("sqrt", "fabs", "fma")
 
 
 @dataclass(frozen=True)
-class Meeting:
+class Barrier:
     """How threads that run side by side wait for each other, in LLVM's words.
 
-    every: operations from one meeting to the next; a shorter loop goes on in each thread for itself. wait:
+    every: operations from one barrier to the next; a shorter loop goes on in each thread for itself. wait:
     the call. any: of a truth value, whether it is true in one of the threads, which meet there, too.
     """
 
@@ -40,12 +40,12 @@ class Target:
     """How a kind of processor takes numbers.
 
     width: environments in a vector; 1: no vector. allowed: what a division and a square root may do besides
-    rounding correctly, in LLVM's words. meeting: None: a thread does not wait for others.
+    rounding correctly, in LLVM's words. barrier: None: a thread does not wait for others.
     """
 
     width: int
     allowed: str
-    meeting: Meeting | None = None
+    barrier: Barrier | None = None
 
     @property
     def number(self) -> str:
@@ -61,7 +61,7 @@ class Target:
 
     @property
     def suffix(self) -> str:
-        """Of an intrinsic function's name."""
+        """The end of an intrinsic function's name."""
         return "f32" if self.width == 1 else f"v{self.width}f32"
 
     def of(self, element: str) -> str:
@@ -75,7 +75,7 @@ class Target:
         return value if self.width == 1 else f"splat ({element} {value})"
 
     def declarations(self) -> list[str]:
-        """Of the functions that `Writer` calls."""
+        """LLVM's declarations of the functions that `Writer` calls."""
         number = self.number
         found = [f"declare {number} @llvm.{one}.{self.suffix}({number})" for one in _INTRINSICS[:2]]
         found.append(f"declare {number} @llvm.fma.{self.suffix}({number}, {number}, {number})")
@@ -105,7 +105,7 @@ class Writer:
     block: str
     lines: list[str] = field(default_factory=list[str])
     _num_names: int = 0
-    _num_since_meeting: int = 0
+    _num_since_barrier: int = 0
     _num_alone: int = 0  # parts around the block through which a thread goes alone
     _constants: dict[int, str] = field(default_factory=dict[int, str])
     # By the name of an angle: sine and cosine of what is left of it, and its quadrant.
@@ -144,16 +144,16 @@ class Writer:
                     self._assign(step)
 
     def _meet_before(self, step: Step) -> None:
-        if self.target.meeting is None:
+        if self.target.barrier is None:
             return
-        self._num_since_meeting += num_operations([step])
-        if self._meeting is not None and self._num_since_meeting > self._meeting.every:
-            self.line(self._meeting.wait)
-            self._num_since_meeting = 0
+        self._num_since_barrier += num_operations([step])
+        if self._barrier is not None and self._num_since_barrier > self._barrier.every:
+            self.line(self._barrier.wait)
+            self._num_since_barrier = 0
 
     @property
-    def _meeting(self) -> Meeting | None:
-        return None if self._num_alone else self.target.meeting
+    def _barrier(self) -> Barrier | None:
+        return None if self._num_alone else self.target.barrier
 
     def operand(self, variable: int | float | str) -> str:
         """The variable's name, or its value if it is a constant."""
@@ -269,8 +269,8 @@ class Writer:
         count, next_count, running, next_running = (self.name() for _ in range(4))
         begun, truth = self.block, self.target.truth
         known = dict(self._angles)
-        meeting = self._meeting
-        alone = meeting is not None and num_operations(loop.body) <= meeting.every
+        barrier = self._barrier
+        alone = barrier is not None and num_operations(loop.body) <= barrier.every
         self._num_alone += alone
         self.line(f"br label %{head}")
         self.lines.append(f"{head}:")
@@ -335,13 +335,13 @@ class Writer:
     @property
     def _goes_on_for_others(self) -> bool:
         """Whether an environment stays in a loop while others run."""
-        return self.target.width > 1 or self._meeting is not None
+        return self.target.width > 1 or self._barrier is not None
 
     def _any_runs(self, running: str) -> str:
-        """Of the environments that go through a loop together."""
-        if self._meeting is None:
+        """Whether any of the environments that go through a loop together still runs."""
+        if self._barrier is None:
             return self.any(running)
-        return self.value(f"{self._meeting.any}(i32 0, i1 {running})")
+        return self.value(f"{self._barrier.any}(i32 0, i1 {running})")
 
     def any(self, truth: str) -> str:
         """Whether it is true for an environment of the vector."""

@@ -205,7 +205,7 @@ def _touch_of_edges(edges: _Edges, boxes: _Boxes) -> Touch:
 
 
 def _middles(direction: Vector, along: Vector, size: Vector) -> list[Vector]:
-    """Of the edge that is farthest in a direction; and of another one, where the direction leaves two."""
+    """The middle of the edge that is farthest in a direction; two where the direction leaves two edges."""
     is_along = [x > 0.5 for x in along]
     corner = [select(x < 0.0, -own, own) for x, own in zip(direction, size, strict=True)]
     middle = [select(one, 0.0, x) for one, x in zip(is_along, corner, strict=True)]

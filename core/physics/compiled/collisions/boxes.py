@@ -29,7 +29,7 @@ def sphere_box(sphere: Placed, box: Placed) -> list[Touch]:
 
 
 def ball_in_box(centre: Vector, radius: Number, box: Placed) -> Touch:
-    """Of a sphere whose centre [3] is given in the box's frame."""
+    """The contact of a box and a sphere whose centre [3] is in the box's frame."""
     nearest = [clip(x, -size, size) for x, size in zip(centre, box.size, strict=True)]
     way = subtract(nearest, centre)
     length = sqrt(dot(way, way))

@@ -27,7 +27,7 @@ from core.physics.compiled.program.arithmetic import (
 )
 
 _SMALLEST, _FAR = 1e-15, 1e15
-# The way to a second point, where there is none. A way of 0 is one: MuJoCo counts that point twice.
+# Marks 'no second contact'. An offset of 0 is valid: MuJoCo reports the point twice.
 _NONE = -4.0
 
 
@@ -101,7 +101,7 @@ class _Edge:
 
 
 def _nearest_end(segment: _Segment) -> _End:
-    """Of the ends that are outside the box in one direction at most."""
+    """The nearest of the ends that are outside the box in one direction at most."""
     ends = [_end(segment, place) for place in (-1.0, 1.0)]
     second = ends[1].distance < ends[0].distance
     outside = [select(second, x, y) for x, y in zip(ends[1].outside, ends[0].outside, strict=True)]

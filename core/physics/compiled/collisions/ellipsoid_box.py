@@ -32,7 +32,7 @@ from core.physics.compiled.program.flow import repeat
 
 # On a face one is enough; at edges and corners each leaves a part of the error.
 _MOST_ITERATIONS = 60
-# Of a unit vector, squared: below it, single precision sees no difference.
+# A unit vector's squared move below which single precision sees no difference.
 _SMALLEST_MOVE = 1e-13
 
 

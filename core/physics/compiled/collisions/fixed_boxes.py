@@ -96,7 +96,7 @@ def chosen_box(choice: Choice, is_near: Vector) -> Placed:
 
 
 def chosen_parameters(choice: Choice, is_near: Vector) -> Parameters:
-    """Of the contact with the box that a geom is near."""
+    """The parameters of the contact with the box that a geom is near."""
     softnesses = [one.softness for one in choice.parameters]
     softness = replace(
         softnesses[0],
@@ -113,7 +113,7 @@ def chosen_parameters(choice: Choice, is_near: Vector) -> Parameters:
 
 
 def _chosen(is_near: Vector, numbers: Sequence[Number]) -> Number:
-    """Of a number of each box, that of the box that is near."""
+    """The number that belongs to the box that is near. numbers: one of each box."""
     found = numbers[0]
     if not all(isinstance(number, float) and number == found for number in numbers):
         for condition, number in zip(is_near, numbers[1:], strict=True):

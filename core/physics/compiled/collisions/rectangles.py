@@ -75,7 +75,7 @@ def _outside(point: Vector, size: Vector, smaller: Number) -> Vector:
 
 
 def _starts(corners: list[Vector], outsides: list[Vector], is_forward: Number) -> list[tuple[Number, Vector]]:
-    """Of each edge between corners [4][3]: whether a part of it is inside of four lines, and its start.
+    """Whether a part of each edge between corners [4][3] is inside of four lines, and where it starts.
 
     outsides: of each corner, how far it is outside of each line. is_forward: otherwise the part's end.
     """

@@ -49,7 +49,7 @@ def capsule_capsule(one: Placed, other: Placed) -> list[Touch]:
 
 
 def _between(one: Vector, radius: Number, other: Vector, radius_other: Number) -> Touch:
-    """Of two spheres; where their centres are one, the normal is the x axis, in MuJoCo another."""
+    """The contact of two spheres. Where their centres coincide, the normal is the x axis, unlike MuJoCo's."""
     way = subtract(other, one)
     length = sqrt(dot(way, way))
     is_one = length < _SMALLEST

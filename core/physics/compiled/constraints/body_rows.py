@@ -73,7 +73,7 @@ def bend(group: BodyGroup, weights: Matrix) -> Vector:
 
 
 def _place(k: int, m: int) -> int:
-    """Of an entry of a symmetric matrix among those of its lower triangle."""
+    """The index of a symmetric matrix's entry among those of its lower triangle."""
     high, low = max(k, m), min(k, m)
     return high * (high + 1) // 2 + low
 

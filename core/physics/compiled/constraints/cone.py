@@ -19,7 +19,7 @@ from core.physics.compiled.program.arithmetic import (
     total,
 )
 
-# Of a squared length: its inverse to the third power is still a number in single precision.
+# The least squared length whose inverse to the third power is finite in single precision.
 _SMALLEST = 1e-20
 
 
@@ -73,7 +73,7 @@ class Cone:
         pressed = self._place(residual).pressed
         return 0.5 * self._unit_stiffness * dot(pressed, pressed)
 
-    def fall(self, before: Vector, after: Vector) -> Number:
+    def cost_decrease(self, before: Vector, after: Vector) -> Number:
         pairs = zip(self._place(before).pressed, self._place(after).pressed, strict=True)
         return 0.5 * self._unit_stiffness * total((x - y) * (x + y) for x, y in pairs)
 

@@ -27,7 +27,7 @@ from core.physics.compiled.smooth.dynamics import Motion
 from core.physics.compiled.smooth.kinematics import Poses
 from core.physics.compiled.smooth.tree import Tree
 
-# Of so few contacts, some push nearly always in one of a vector's environments.
+# With at most this many contacts, skipping does not pay: some environment of a vector nearly always has one.
 _FEW_CONTACTS = 8
 
 

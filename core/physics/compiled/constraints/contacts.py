@@ -111,7 +111,7 @@ def is_better_by_body(tree: Tree, contacts: Sequence[Contact]) -> bool:
         if contact.one.body and contact.other.body:
             continue
         size = len(_moved_by(tree, contact.one.body or contact.other.body))
-        # Of the curvature, the residual and the forces, with three directions.
+        # Operations for the curvature, the residual and the forces, with three directions.
         one_by_one += contact.num_points * (size * (size + 1) // 2 * 5 + size * 23)
         by_body += contact.num_points * 240
     return by_body < one_by_one
@@ -185,7 +185,7 @@ def _law(contact: Contact, impedance: Number, distance: Number) -> Law:
     friction, weight = contact.parameters.friction, contact.inverse_weight
     if not friction:
         return OneSided(stiffness_at(impedance, weight, distance))
-    # Of the cone that is regularised by `impratio`.
+    # The slope of the cone that `impratio` regularises.
     slope = friction[0] / contact.impratio**0.5
     if contact.is_elliptic:
         return Cone(stiffness_at(impedance, weight, distance), slope, friction)

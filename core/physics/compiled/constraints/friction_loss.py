@@ -44,7 +44,7 @@ class Friction:
         kept = self._kept(residual[0])
         return self.stiffness * (kept * (residual[0] - 0.5 * kept))
 
-    def fall(self, before: Vector, after: Vector) -> Number:
+    def cost_decrease(self, before: Vector, after: Vector) -> Number:
         (x,), (y,) = before, after
         kept, then = self._kept(x), self._kept(y)
         beyond = (x - kept) + (y - then)
@@ -60,7 +60,10 @@ class Friction:
 
 @dataclass(frozen=True)
 class FrictionLoss:
-    """Of a degree of freedom, or a tendon. moment: see `Tendon`. damping: of the reference acceleration."""
+    """The friction of a degree of freedom or a tendon.
+
+    moment: see `Tendon`. damping: of the reference acceleration.
+    """
 
     moment: Coefficients
     damping: Number
@@ -68,7 +71,7 @@ class FrictionLoss:
 
 
 def read_friction_losses(fields: Fields) -> tuple[FrictionLoss, ...]:
-    """Of degrees of freedom, all of them where environments have their own, and of tendons."""
+    """The friction of tendons and of degrees of freedom: of all these, where environments have their own."""
     model, found = fields.model, list[FrictionLoss]()
     for dof in range(model.nv):
         most = fields.number("dof_frictionloss", dof)

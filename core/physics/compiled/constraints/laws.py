@@ -48,8 +48,8 @@ class Law(Protocol):
         """0 where no row pushes."""
         ...
 
-    def fall(self, before: Vector, after: Vector) -> Number:
-        """By how much less the cost is after; exact for near residuals, too."""
+    def cost_decrease(self, before: Vector, after: Vector) -> Number:
+        """cost(before) - cost(after), computed without cancellation."""
         ...
 
 
@@ -77,7 +77,7 @@ class OneSided:
     def cost(self, residual: Vector) -> Number:
         return 0.5 * self.stiffness * squared(minimum(residual[0], 0.0))
 
-    def fall(self, before: Vector, after: Vector) -> Number:
+    def cost_decrease(self, before: Vector, after: Vector) -> Number:
         return 0.5 * self.stiffness * _fall(before[0], after[0])
 
 
@@ -118,7 +118,7 @@ class Pyramid:
         squares = total(squared(minimum(edge, 0.0)) for edge in self._edges(residual))
         return 0.5 * self.stiffness * squares
 
-    def fall(self, before: Vector, after: Vector) -> Number:
+    def cost_decrease(self, before: Vector, after: Vector) -> Number:
         edges = zip(self._edges(before), self._edges(after), strict=True)
         return 0.5 * self.stiffness * total(_fall(one, other) for one, other in edges)
 
@@ -130,7 +130,7 @@ class Pyramid:
 
 
 def _slope(stiffness: Number, residual: Vector, rates: Vector) -> Slope:
-    """Of rows that push where their residual is below 0."""
+    """The slope of rows that push where their residual is below 0."""
 
     # Outside of the search's loop, so that each step takes fewer operations.
     firsts = [stiffness * rate for rate in rates]

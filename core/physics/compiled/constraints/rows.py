@@ -106,22 +106,22 @@ def curvature(rows: Rows, residual: Vector) -> body_rows.Terms:
 
 
 def cost(rows: Rows, residual: Vector) -> Number:
-    """Of all rows."""
+    """The cost of all rows."""
     return total(
         _computed(bundle, lambda group, own: [group.law.cost(own)], residual)[0] for bundle in _bundles(rows)
     )
 
 
-def fall(rows: Rows, before: Vector, after: Vector) -> Number:
-    """By how much less the cost is after."""
+def cost_decrease(rows: Rows, before: Vector, after: Vector) -> Number:
+    """cost(before) - cost(after), computed without cancellation."""
     return total(
-        _computed(bundle, lambda group, own, then: [group.law.fall(own, then)], before, after)[0]
+        _computed(bundle, lambda group, own, then: [group.law.cost_decrease(own, then)], before, after)[0]
         for bundle in _bundles(rows)
     )
 
 
 def slope(rows: Rows, residual: Vector, rates: Vector) -> Slope:
-    """Of the cost where the residual moves on at these rates."""
+    """The slope of the cost where the residual changes at these rates."""
     always, at_times = list[Slope](), list[_Bundle]()
     for bundle in _bundles(rows):
         if bundle.may_push is not True:
@@ -235,7 +235,7 @@ def _bend(group: BodyGroup, residual: Vector) -> Vector:
 
 
 def _entries(group: Group, residual: Vector) -> Vector:
-    """Of the lower triangle."""
+    """The entries of the lower triangle."""
     weights = group.law.weights(residual)
     columns = {i: [direction[i] for direction in group.directions] for i in group.directions[0]}
     along = {i: [dot(row, column) for row in weights] for i, column in columns.items()}

@@ -45,7 +45,7 @@ def read_softness(solref: Sequence[Number], solimp: np.ndarray, timestep: float)
     )
     first, second = solref
     are_times, is_damped = first > 0.0, second > 0.0
-    # Of a time constant and a stiffness below 0, or the other way round, MuJoCo takes neither.
+    # MuJoCo takes the default where one of the two numbers is positive and the other is not.
     default = _of_times(*_DEFAULT, highest, timestep)
     of_times = _of_times(first, second, highest, timestep)
     direct = -first * (1.0 / max(_SMALLEST, highest**2)), -second * (1.0 / max(_SMALLEST, highest))

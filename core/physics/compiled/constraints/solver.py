@@ -9,8 +9,8 @@ from core.physics.compiled.constraints.rows import (
     Rows,
     added,
     cost,
+    cost_decrease,
     curvature,
-    fall,
     forces,
     pulled_back,
     residual,
@@ -143,7 +143,7 @@ def _line_search(
         [x + step * y for x, y in zip(guess.inertial, inertial, strict=True)],
         [x + step * y for x, y in zip(guess.residual, rates, strict=True)],
     )
-    fallen = fall(problem.rows, guess.residual, moved.residual)
+    fallen = cost_decrease(problem.rows, guess.residual, moved.residual)
     gain = fallen - step * (linear + step * quadratic)
     return moved, gain
 

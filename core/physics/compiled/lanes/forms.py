@@ -32,8 +32,8 @@ class Forms:
         return self._numbers.setdefault(described, len(self._numbers))
 
     def kind(self, lane: int, operation: Operation, arguments: Sequence[Kind]) -> Kind:
-        """Of an operation's result. Signs are set apart: whether a program adds or subtracts depends on the
-        order in which it was written."""
+        """The result's kind. Signs are kept apart: whether a program adds or subtracts depends
+        on the order in which it was written."""
         forms = [one.form for one in arguments]
         sign = 1
         for one in arguments:

@@ -115,7 +115,7 @@ def rotation_about(axis: Vector, angle: Number) -> Vector:
 
 
 def rotation_matrix(quaternion: Vector) -> Matrix:
-    """Of a quaternion of length 1."""
+    """The rotation matrix of a quaternion of length 1."""
     w, x, y, z = quaternion
     return [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],

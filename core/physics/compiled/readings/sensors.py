@@ -89,7 +89,7 @@ def _joint(scene: Scene, sensor: Sensor) -> Vector:
 
 
 def _length(scene: Scene, sensor: Sensor) -> Vector:
-    """Of a tendon or an actuator, or its rate."""
+    """The length of a tendon or an actuator, or its rate."""
     if sensor.kind in (_Kind.mjSENS_TENDONPOS, _Kind.mjSENS_TENDONVEL):
         tendon = scene.tendons[sensor.object]
         of_positions, moment = tendon.of_positions, tendon.moment
@@ -134,7 +134,7 @@ def _velocity(scene: Scene, sensor: Sensor) -> Vector:
 
 
 def _at_site(scene: Scene, sensor: Sensor) -> Vector:
-    """What a site feels in its own axes."""
+    """A quantity in the axes of a site."""
     site = scene.frame(mujoco.mjtObj.mjOBJ_SITE, sensor.object)
     to_site = transpose(scene.rotation(site))
     if sensor.kind == _Kind.mjSENS_MAGNETOMETER:

@@ -79,7 +79,7 @@ def _dragged(tree: Tree, fluid: Fluid, body: int, at: Poses, moving: Motion) -> 
 
 
 def _drag(fields: Fields, body: int) -> Drag:
-    """Of a box whose sides are as long as this mass needs for these moments of inertia."""
+    """The drag of the box that has this mass and these moments of inertia."""
     option = fields.model.opt
     density, viscosity = float(option.density), float(option.viscosity)
     mass, moments = fields.number("body_mass", body), fields.row("body_inertia", body)

@@ -63,7 +63,7 @@ def test_a_job_that_goes_on_takes_the_engine_of_its_checkpoint_where_the_choice_
 
 
 @pytest.mark.parametrize(
-    ("physics", "lent_by", "engine"),
+    ("physics", "source_engine", "engine"),
     [
         # Environments that `warp` moved go on under no other, and `compiled` takes those of `native`.
         ("auto", "warp", "warp"),
@@ -72,10 +72,10 @@ def test_a_job_that_goes_on_takes_the_engine_of_its_checkpoint_where_the_choice_
     ],
 )
 def test_a_job_that_resumes_from_another_gets_an_engine_that_can_go_on(
-    physics: PhysicsChoice, lent_by: EngineName, engine: str
+    physics: PhysicsChoice, source_engine: EngineName, engine: str
 ) -> None:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "hopper", "physics": physics})
-    task = Task(job_id="j", attempt=1, spec=spec, device="cpu", lent_by=lent_by)
+    task = Task(job_id="j", attempt=1, spec=spec, device="cpu", source_engine=source_engine)
     assert build_environment(task).engine == engine
 
 

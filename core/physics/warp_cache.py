@@ -6,7 +6,7 @@ from pathlib import Path
 from core.physics.availability import check_installed
 
 
-def keep_kernels(folder: Path) -> None:
+def set_warp_cache(folder: Path) -> None:
     """Keep the kernels that Warp compiles in this folder, unless WARP_CACHE_PATH names another.
 
     Call it before the first engine is built: Warp reads the setting once. Raises JobFailed without Warp.
