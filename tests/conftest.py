@@ -34,7 +34,7 @@ from tests.compiling import compile_quickly, compiling_quickly
 from tests.memory_folder import memory_folder
 from tests.order import spread
 
-pytest_plugins = ["tests.hypothesis_profiles"]
+pytest_plugins = ["tests.durations", "tests.hypothesis_profiles"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
