@@ -18,13 +18,15 @@ from core.environments.dm_control.rodent.info import INFO as RODENT
 from core.environments.external.brax import info as brax_registry
 from core.environments.external.playground import info as playground
 from core.environments.info import EnvironmentInfo
-from core.environments.locomotion.ant.info import INFO as ANT
-from core.environments.locomotion.half_cheetah.info import INFO as HALF_CHEETAH
-from core.environments.locomotion.hopper.info import INFO as HOPPER
-from core.environments.locomotion.humanoid.info import INFO as HUMANOID
-from core.environments.locomotion.inverted_pendulum.info import INFO as INVERTED_PENDULUM
-from core.environments.locomotion.reacher.info import INFO as REACHER
-from core.environments.locomotion.walker2d.info import INFO as WALKER2D
+from core.environments.locomotion.info import (
+    ANT,
+    HALF_CHEETAH,
+    HOPPER,
+    HUMANOID,
+    INVERTED_PENDULUM,
+    REACHER,
+    WALKER2D,
+)
 from core.environments.mjcf.info import INFO as MJCF
 from core.errors import EnvironmentNotFound, Problem, Rejected
 from core.nearest import nearest

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from core.environments import rewards
 from core.environments.environment import State
-from core.environments.locomotion.planar_slices import MAX_OBSERVED_SPEED
+from core.environments.locomotion.info import MAX_OBSERVED_SPEED, HopperOptions, Walker2dOptions
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.environments.simulation import Ends, Noise, Simulation, numbers
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
@@ -135,3 +135,22 @@ def is_inside(value: jax.Array, bounds: tuple[float, float | None]) -> jax.Array
     low, high = bounds
     above = value > low
     return above if high is None else above & (value < high)
+
+
+def hopper(options: HopperOptions, build_engine: EngineBuilder) -> PlanarWalker:
+    """The hopper under these options, moved by the engine that `build_engine` makes."""
+
+    def other_joints_are_healthy(physics: PhysicsState) -> jax.Array:
+        joints = jnp.concatenate([physics.qpos[2:], physics.qvel])
+        return jnp.all(is_inside(joints, options.healthy_state_range))
+
+    other_ends = [
+        Ends(numbers("qpos", range(2, 6)), *options.healthy_state_range),
+        Ends(numbers("qvel", range(6)), *options.healthy_state_range),
+    ]
+    return PlanarWalker("hopper", options, build_engine, other_joints_are_healthy, other_ends)
+
+
+def walker2d(options: Walker2dOptions, build_engine: EngineBuilder) -> PlanarWalker:
+    """The planar walker under these options, moved by the engine that `build_engine` makes."""
+    return PlanarWalker("walker2d", options, build_engine)

@@ -9,7 +9,7 @@ import mujoco
 
 from core.environments import rewards
 from core.environments.environment import State
-from core.environments.locomotion.ant.info import AntOptions
+from core.environments.locomotion.info import AntOptions
 from core.environments.locomotion.solver import BRAX_SOLVER
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
 from core.environments.simulation import Ends, Noise, Simulation, numbers

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from core.environments import rewards
 from core.environments.environment import State
-from core.environments.locomotion.half_cheetah.info import HalfCheetahOptions
+from core.environments.locomotion.info import HalfCheetahOptions
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.environments.simulation import Noise, Simulation, numbers
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState

@@ -9,7 +9,7 @@ import numpy as np
 
 from core.environments import rewards
 from core.environments.environment import State
-from core.environments.locomotion.humanoid.info import HumanoidOptions
+from core.environments.locomotion.info import HumanoidOptions
 from core.environments.locomotion.solver import BRAX_SOLVER
 from core.environments.mujoco_env import (
     MujocoEnv,
