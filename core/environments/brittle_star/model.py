@@ -1,10 +1,91 @@
-"""The composed brittle star as it is stepped: biorobot's physics, without sensors that nothing reads."""
+"""The brittle star: composed by biorobot, and as it is stepped, without sensors that nothing reads."""
+
+from importlib import import_module
+from typing import Any
 
 import mujoco
 import numpy as np
+from biorobot.brittle_star.mjcf.morphology.morphology import MJCFBrittleStarMorphology
+from biorobot.brittle_star.mjcf.morphology.parts.arm import MJCFBrittleStarArm
 
-from core.environments.brittle_star.compose import composed
-from core.environments.brittle_star.options import DISK, DISK_RADIUS_M, DirectedOptions, Options, observed
+from core.environments.brittle_star.options import (
+    DISK,
+    DISK_RADIUS_M,
+    LIGHT_MAP_RESOLUTION,
+    DirectedOptions,
+    LightEscapeOptions,
+    Options,
+    observed,
+)
+from core.environments.dm_control.dm_control_import import without_a_display
+from core.errors import JobFailed
+from core.reasons import Reason
+
+
+class EvenStar(MJCFBrittleStarMorphology):
+    """A star with a place for each arm; biorobot's has five. With five arms the two are equal."""
+
+    def _build_arms(self) -> None:
+        specification = self.morphology_specification
+        radius = specification.disk_specification.radius.value
+        angles = np.linspace(0, 2 * np.pi, specification.number_of_arms, endpoint=False)
+        self.arms = [
+            MJCFBrittleStarArm(
+                parent=self._disk,
+                name=f"arm_{index}",
+                pos=radius * np.array([np.cos(angle), np.sin(angle), 0]),
+                euler=[0, 0, angle],
+                arm_index=index,
+            )
+            for index, angle in enumerate(angles)
+        ]
+
+
+def composed(options: Options) -> mujoco.MjSpec:
+    """The specification: a free disk with arms, on the ground between walls; the task's target or sand.
+
+    Raises JobFailed("bad_model") if biorobot, which brings both, is not installed.
+    """
+    with without_a_display():
+        arena, star = _arena(options), _star(options)
+        arena.attach(star, free_joint=True)
+        return mujoco.MjSpec.from_string(arena.get_mjcf_str())
+
+
+def _star(options: Options) -> Any:
+    default = _module("biorobot.brittle_star.mjcf.morphology.specification.default")
+    specification = default.default_brittle_star_morphology_specification(
+        num_arms=options.num_arms,
+        num_segments_per_arm=options.segments,
+        use_p_control=options.actuation == "p_control",
+        use_torque_control=options.actuation == "torque_control",
+    )
+    return _module("core.environments.brittle_star.model").EvenStar(specification)
+
+
+def _arena(options: Options) -> Any:
+    aquarium = _module("biorobot.brittle_star.mjcf.arena.aquarium")
+    return aquarium.MJCFAquariumArena(
+        aquarium.AquariumArenaConfiguration(
+            size=options.arena_size,
+            sand_ground_color=isinstance(options, LightEscapeOptions),
+            light_map_resolution=LIGHT_MAP_RESOLUTION,
+            attach_target=isinstance(options, DirectedOptions),
+        )
+    )
+
+
+def _module(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise JobFailed(
+            Reason.BAD_MODEL,
+            f"Brittle stars and their aquarium come with biorobot, which this worker lacks ({error}). "
+            "Install it in its clone with `uv sync --inexact --extra brittle-star`, or ask for another "
+            "environment.",
+        ) from error
+
 
 # The extent that a picture shows, in metres: the star's surroundings, not the whole arena.
 _EXTENT_M = 4.0

@@ -1,25 +1,57 @@
 """A star that its oscillators steer: an action sets what they tend to, and they move the joints."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import pi
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from core.environments.cpg import star
-from core.environments.cpg.actuators import oscillator_of_actuator
-from core.environments.cpg.encoding import action_size, decode, encode
-from core.environments.cpg.integration import advance
 from core.environments.cpg.options import CPGOptions
-from core.environments.cpg.oscillators import Network, Oscillators, at_rest, output
-from core.environments.cpg.roles import Gait, modulation, roles_for, roles_under, strengths
+from core.environments.cpg.oscillators import Network, Oscillators, advance, at_rest, output
+from core.environments.cpg.roles import (
+    Gait,
+    action_size,
+    decode,
+    encode,
+    modulation,
+    roles_for,
+    roles_under,
+    strengths,
+)
 from core.environments.discretization import ActionSet, Discretization
 from core.environments.environment import Environment, State
 from core.environments.wrappers.base import Wrapped
+from core.errors import JobFailed
 from core.physics.engine import NOMINAL, ModelFields
+from core.reasons import Reason
+
+_NAME = re.compile(r"arm_(?P<arm>\d+)_.*?(?P<plane>in_plane|out_of_plane)")
+
+
+def oscillator_of_actuator(model: mujoco.MjModel, num_arms: int) -> NDArray[np.intp]:
+    """[nu]: every segment of an arm follows its arm's oscillator in the plane, or that out of it.
+
+    Raises JobFailed("bad_model") for an actuator that is not that of an arm's joint, by its name.
+    """
+    return np.array([_oscillator(model.actuator(index).name, num_arms) for index in range(model.nu)], np.intp)
+
+
+def _oscillator(actuator: str, num_arms: int) -> int:
+    found = _NAME.search(actuator)
+    if found is None or int(found["arm"]) >= num_arms:
+        raise JobFailed(
+            Reason.BAD_MODEL,
+            f"A CPG of {num_arms} arms cannot use the actuator {actuator!r}: its name must give an arm and a "
+            "plane, as in 'arm_0_segment_2_in_plane_joint'.",
+        )
+    return 2 * int(found["arm"]) + (found["plane"] == "out_of_plane")
+
 
 # So that the body starts as it would without oscillators.
 _OWN_KEY = 0x637067

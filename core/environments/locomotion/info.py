@@ -5,8 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from core.documents import Strict
-from core.environments.bodies import body
-from core.environments.body_slices import CVEL, controls, qfrc_actuator, qpos, qvel, rows
+from core.environments.bodies import CVEL, body, controls, qfrc_actuator, qpos, qvel, rows
 from core.environments.info import EnvironmentInfo, NoOptions
 from core.environments.options import NoiseScale, OpenRange, Range, Weight
 from core.environments.spaces import Spaces, in_order, named

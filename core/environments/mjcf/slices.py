@@ -2,8 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from core.environments.bodies import Body, JointType
-from core.environments.body_slices import CINERT, CVEL, qfrc_actuator, qpos, qvel, rows
+from core.environments.bodies import CINERT, CVEL, Body, JointType, qfrc_actuator, qpos, qvel, rows
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory, Sensor
 from core.environments.mjcf.vocabulary.observations import (

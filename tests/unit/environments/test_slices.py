@@ -14,11 +14,10 @@ import pytest
 from numpy.typing import NDArray
 
 from core.environments import catalog
-from core.environments.bodies import TABLE
-from core.environments.body_slices import CINERT, CVEL
+from core.environments.bodies import CINERT, CVEL, TABLE
 from core.environments.cpg import star
-from core.environments.cpg.encoding import decode
 from core.environments.cpg.options import CPGOptions, GaitOptions
+from core.environments.cpg.roles import decode
 from core.environments.describe_bodies import described
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import mujoco
 
-from core.environments.dm_control.corridor.task_options import Aesthetic
+from core.environments.dm_control.corridor.options import Aesthetic
 from core.errors import JobFailed
 from core.reasons import Reason
 

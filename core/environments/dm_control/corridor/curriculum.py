@@ -11,7 +11,7 @@ from pydantic import Field
 
 from core.bounds import Real
 from core.documents import Strict
-from core.environments.dm_control.corridor.lengths import Drawn
+from core.environments.dm_control.corridor.options import Drawn
 
 # Layouts are drawn before a run, so lengths grow in steps; the last level has the options' own.
 NUM_LEVELS = 16

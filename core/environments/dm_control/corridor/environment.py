@@ -8,20 +8,35 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from core.environments import rewards
-from core.environments.dm_control.corridor import egocentric, observables, pushing, termination
-from core.environments.dm_control.corridor.controls import holding_controls
-from core.environments.dm_control.corridor.course import ManyCourses, OneCourse
+from core.environments.dm_control.corridor import egocentric, pushing, termination
 from core.environments.dm_control.corridor.curriculum import at_every_level
 from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions, spaces
+from core.environments.dm_control.corridor.layouts import ManyCourses, OneCourse
 from core.environments.dm_control.corridor.model import boxes, corridor_spec, model_and_layouts, obstacles
+from core.environments.dm_control.corridor.options import in_order, values
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
 from core.environments.simulation import Noise, Simulation
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+
+
+def holding_controls(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """The controls [nu] in [-1, 1] under which no actuator exerts a force at rest in the positions qpos [nq].
+
+    Those of torques are 0. Source: MuJoCo's actuation model, force = gain · control + bias, where a position
+    servo's bias is b0 + b1 · length.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    bias = model.actuator_biasprm[:, 0] + model.actuator_biasprm[:, 1] * data.actuator_length
+    return np.clip(-bias / model.actuator_gainprm[:, 0], -1.0, 1.0).astype(np.float32)
+
 
 _DERIVED = ("subtree_com", "xpos")
 # The top of the ground; a trunk below it is in a gap.
@@ -50,7 +65,7 @@ class Corridor(MujocoEnv):
         walker = WALKERS[options.walker]
         read = (
             *_DERIVED,
-            *observables.in_order(options.observables),
+            *in_order(options.observables),
             *(egocentric.DERIVED if options.egocentric_depth else ()),
             *termination.derived_fields(options),
         )
@@ -180,7 +195,7 @@ class Corridor(MujocoEnv):
 
     def _observe(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> jax.Array:
         seen = self._ahead(info, physics.qpos[:2], self._options.num_next_obstacles)
-        fields = observables.values(self._options.observables, physics, self._bodies)
+        fields = values(self._options.observables, physics, self._bodies)
         image = [] if self._camera is None else [self._camera(physics, self._course.boxes(info))]
         return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel, *fields, seen, *image])
 

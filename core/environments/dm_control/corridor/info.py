@@ -6,12 +6,9 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from core.documents import Strict
-from core.environments.bodies import body
-from core.environments.body_slices import controls, qpos, qvel
-from core.environments.dm_control.corridor import observables
+from core.environments.bodies import body, controls, qpos, qvel
 from core.environments.dm_control.corridor.curriculum import OF_ARENA, Curriculum
-from core.environments.dm_control.corridor.lengths import Drawn
-from core.environments.dm_control.corridor.task_options import TaskOptions, check_stands_on_its_feet
+from core.environments.dm_control.corridor.options import Drawn, TaskOptions, check_stands_on_its_feet, slices
 from core.environments.dm_control.corridor.walkers import (
     WALKERS,
     Arena,
@@ -253,7 +250,7 @@ def spaces(options: CorridorOptions) -> Spaces:
     seen = [
         *qpos(own, hidden),
         *qvel(own),
-        *observables.slices(options.observables, own),
+        *slices(options.observables, own),
         *ahead,
         named("egocentric_depth", image, "m", 0.0, SIGHT_M),
     ]

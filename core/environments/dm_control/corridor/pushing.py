@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import mujoco
 
-from core.environments.dm_control.corridor import observables
 from core.environments.dm_control.corridor.info import CorridorOptions
+from core.environments.dm_control.corridor.options import in_order
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.simulation import OBSTACLES_AHEAD, Ends, NotSimulated, Numbers, numbers, rows
 
@@ -31,7 +31,7 @@ def observation(options: CorridorOptions, model: mujoco.MjModel, bodies: slice) 
     hidden = 2 if options.exclude_current_positions_from_observation else 0
     yield numbers("qpos", range(hidden, model.nq))
     yield numbers("qvel", range(model.nv))
-    for name in observables.in_order(options.observables):
+    for name in in_order(options.observables):
         if name == "qfrc_actuator":
             yield numbers(name, range(model.nv))
         else:

@@ -6,8 +6,7 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from core.environments.bodies import body
-from core.environments.body_slices import CINERT, CVEL, controls, qfrc_actuator, qpos, qvel, rows
+from core.environments.bodies import CINERT, CVEL, body, controls, qfrc_actuator, qpos, qvel, rows
 from core.environments.info import EnvironmentInfo
 from core.environments.options import (
     LINE_SEARCH_ITERATIONS,

@@ -14,11 +14,11 @@ from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.environments import catalog
-from core.environments.brittle_star import compose
+from core.environments.brittle_star import model as composing
 from core.environments.brittle_star.info import INFOS
-from core.environments.brittle_star.light import light_at, light_map
 from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.options import DirectedOptions, LightEscapeOptions, UndirectedOptions
+from core.environments.brittle_star.tasks import light_at, light_map
 from core.environments.info import FiniteSpace
 from core.errors import JobFailed, Rejected
 from core.physics import availability
@@ -80,7 +80,7 @@ def test_arms_stand_evenly_around_the_disk_however_many(num_arms: int) -> None:
 
 
 def test_five_arms_on_a_disk_of_ours_weigh_what_biorobots_do() -> None:
-    spec = compose.composed(DirectedOptions(num_segments_per_arm=1))
+    spec = composing.composed(DirectedOptions(num_segments_per_arm=1))
     theirs = spec.compile()
     from core.environments.brittle_star.model import _shape_disk
 
@@ -341,7 +341,7 @@ def test_a_worker_without_biorobot_says_what_to_install(monkeypatch: pytest.Monk
     def missing(name: str) -> object:
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr(compose, "import_module", missing)
+    monkeypatch.setattr(composing, "import_module", missing)
     with pytest.raises(JobFailed, match="uv sync --inexact --extra brittle-star") as failed:
         star_model(UndirectedOptions())
     assert failed.value.reason == "bad_model"

@@ -13,8 +13,14 @@ import numpy as np
 import pytest
 
 from core.environments import catalog
-from core.environments.brittle_star.observables import BODY_OBSERVABLES, LIGHT_OBSERVABLES, TARGET_OBSERVABLES
-from core.environments.brittle_star.options import DirectedOptions, LightEscapeOptions, UndirectedOptions
+from core.environments.brittle_star.options import (
+    BODY_OBSERVABLES,
+    LIGHT_OBSERVABLES,
+    TARGET_OBSERVABLES,
+    DirectedOptions,
+    LightEscapeOptions,
+    UndirectedOptions,
+)
 from core.environments.environment import State
 from core.physics.choose import engine_builder
 from tests.unit.environments.brittle_star.reference import reference

@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from core.environments.cpg import star
-from core.environments.cpg.integration import advance
-from core.environments.cpg.oscillators import Network, Oscillators, at_rest, output
+from core.environments.cpg.oscillators import Network, Oscillators, advance, at_rest, output
 from core.environments.cpg.roles import Gait, modulation, roles_under
 
 WEIGHT, GAIN, DT, OMEGA, LIMIT = 5.0, 20.0, 0.04, np.pi, np.pi / 12

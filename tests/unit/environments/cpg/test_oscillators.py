@@ -8,15 +8,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.environments.cpg import integration
-from core.environments.cpg.integration import Integrator
-from core.environments.cpg.oscillators import Modulation, Network, Oscillators, at_rest, output
+from core.environments.cpg.oscillators import (
+    Integrator,
+    Modulation,
+    Network,
+    Oscillators,
+    advance,
+    at_rest,
+    output,
+)
 
 GAIN = 4.0
 WEIGHT = 1.5
 BIAS = 0.5
 BEGIN = 2.0  # by how much the second of a pair is ahead at first
-advance = jax.jit(integration.advance, static_argnames=("integrator", "num_steps"))
+advance = jax.jit(advance, static_argnames=("integrator", "num_steps"))
 PAIR = Network(jnp.array([[0.0, WEIGHT], [WEIGHT, 0.0]]), GAIN, GAIN)
 
 

@@ -3,13 +3,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.environments.cpg import integration, roles, star
-from core.environments.cpg.encoding import action_size, decode, encode
+from core.environments.cpg import oscillators, roles, star
 from core.environments.cpg.options import CPGOptions
 from core.environments.cpg.oscillators import Network, at_rest
-from core.environments.cpg.roles import Gait, Role, roles_under, strengths
+from core.environments.cpg.roles import Gait, Role, action_size, decode, encode, roles_under, strengths
 
-advance = jax.jit(integration.advance, static_argnames=("integrator", "num_steps"))
+advance = jax.jit(oscillators.advance, static_argnames=("integrator", "num_steps"))
 modulation = jax.jit(roles.modulation)
 GAIT = Gait(frequency=2 * np.pi, sweep=0.5, stroke=0.75, lift=0.6)
 LEADING, LEFT, RIGHT, TRAILING = Role

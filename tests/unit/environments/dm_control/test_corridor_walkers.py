@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from core.environments import catalog
-from core.environments.dm_control.corridor.controls import holding_controls
-from core.environments.dm_control.corridor.environment import Corridor
+from core.environments.dm_control.corridor.environment import Corridor, holding_controls
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.environments.dm_control.corridor.walkers import NOT_OFFERED, WALKERS, Walker

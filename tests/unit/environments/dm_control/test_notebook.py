@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from core.environments import catalog
-from core.environments.dm_control.corridor.compose import composed
 from core.environments.dm_control.corridor.info import CorridorOptions
-from core.environments.dm_control.corridor.model import corridor_model
+from core.environments.dm_control.corridor.model import composed, corridor_model
 from core.environments.dm_control.rodent.model import rodent_model
 from core.errors import Rejected
 from core.jobs.checks import check
