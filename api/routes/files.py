@@ -23,7 +23,7 @@ from core.errors import (
     RecordsUnavailable,
     Rejected,
 )
-from core.jobs.checks import check_seed
+from core.jobs.checks import no_such_seed
 from core.jobs.job import Artifact, ArtifactRole, Job
 from core.jobs.spec import TrainSpec
 from gaitway.schema import ArtifactView
@@ -159,7 +159,7 @@ def read_artifact(
 
 
 def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
-    check_seed(job, asked.seed, "/seed")
+    check_seed(job, asked.seed)
     found = [one for one in job.files_of(asked.seed) if one.role == role and asked.shows(one)]
     if not found and job.spec.video is None:
         detail = f"Job {job.id} asks for no video: its `video` is null."
@@ -184,7 +184,7 @@ def _policy(job: Job, asked: PolicyFile) -> Artifact:
     if not isinstance(job.spec, TrainSpec):
         detail = f"Job {job.id} is a rollout, which trains no policy."
         raise ArtifactNotFound(detail, job=job.id, job_status=job.status, artifacts=[], reason=job.reason)
-    check_seed(job, asked.seed, "/seed")
+    check_seed(job, asked.seed)
     stem, role = _POLICIES[asked.which]
     own, form = job.newest(role, seed=asked.seed), asked.format
     if job.seeds:
@@ -211,6 +211,12 @@ def _policy(job: Job, asked: PolicyFile) -> Artifact:
     if own is None and not job.status.is_final:
         raise absence(job, f"final {name}", "export")
     return found
+
+
+def check_seed(job: Job, seed: int | None) -> None:
+    """Raises ArtifactNotFound where the job has no such seed."""
+    if detail := no_such_seed(job, seed):
+        raise ArtifactNotFound(detail)
 
 
 def of_seed(job: Job, seed: int | None) -> str:

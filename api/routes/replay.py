@@ -7,10 +7,9 @@ from pydantic import Field
 
 from api.dependencies import JobId, Parameters, ServiceDep
 from api.files import file_response, responses
-from api.routes.files import OfSeed, absence, last_made, of_seed
+from api.routes.files import OfSeed, absence, check_seed, last_made, of_seed
 from core.algorithms.catalog import ALGORITHMS
 from core.errors import ArtifactNotFound
-from core.jobs.checks import check_seed
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import TrainSpec
 
@@ -81,7 +80,7 @@ def _no_simulation(job: Job) -> Exception:
 
 
 def _replay(job: Job, asked: ReplayQuery) -> Artifact:
-    check_seed(job, asked.seed, "/seed")
+    check_seed(job, asked.seed)
     step = asked.step
     found = [one for one in job.files_of(asked.seed) if one.role == "replay" and step in (None, one.step)]
     if not found:

@@ -278,10 +278,16 @@ def source_artifact(spec: JobSpec, wanted: Source, get: Callable[[str], Job]) ->
 
 def check_seed(job: Job, seed: int | None, pointer: str) -> None:
     """Raises Rejected where the job has no such seed. pointer: to the seed in the request."""
-    has = job.seeds or (job.spec.seed,)
-    if seed is not None and seed not in has:
-        detail = f"Job {job.id} has no seed {seed}; it has {', '.join(map(str, has))}."
+    if detail := no_such_seed(job, seed):
         raise Rejected(detail, [Problem(pointer, detail)])
+
+
+def no_such_seed(job: Job, seed: int | None) -> str | None:
+    """A sentence where the job has no such seed."""
+    has = job.seeds or (job.spec.seed,)
+    if seed is None or seed in has:
+        return None
+    return f"Job {job.id} has no seed {seed}; it has {', '.join(map(str, has))}."
 
 
 def _best_policy(source: Job, wanted: Source) -> Artifact:

@@ -76,8 +76,7 @@ def test_a_policy_a_video_and_a_replay_are_of_the_seed_that_is_asked_for(
 
 @pytest.mark.parametrize("part", ["policy", "video", "poster", "replay"])
 def test_a_seed_that_the_job_does_not_have_is_refused(stack: Stack, trained: Attempt, part: str) -> None:
-    refused = problem(stack.http.get(f"/jobs/{ID}/{part}?seed=7"), 422, "invalid-request")
-    assert pointers(refused) == ["/seed"]
+    refused = problem(stack.http.get(f"/jobs/{ID}/{part}?seed=7"), 404, "artifact-not-found")
     assert refused["detail"] == f"Job {ID} has no seed 7; it has 4, 0."
 
 
@@ -91,9 +90,8 @@ def test_a_file_that_a_seed_lacks_is_said_to_be_its(stack: Stack) -> None:
 def test_a_job_with_one_seed_has_the_files_of_that_one(stack: Stack) -> None:
     Attempt(stack, job(ID, seed=3)).keep("video.mp4", b"film")
     assert stack.http.get(f"/jobs/{ID}/video?seed=3").content == b"film"
-    assert problem(stack.http.get(f"/jobs/{ID}/video?seed=4"), 422, "invalid-request")["detail"].endswith(
-        "3."
-    )
+    answer = stack.http.get(f"/jobs/{ID}/video?seed=4")
+    assert problem(answer, 404, "artifact-not-found")["detail"].endswith("3.")
 
 
 def test_a_rollout_acts_by_the_policy_of_a_seed(stack: Stack, trained: Attempt) -> None:

@@ -15,7 +15,7 @@ from core.algorithms.policy_file import write_policy
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.policy import make_inference
 from core.algorithms.ppo.spec import PPOSpec
-from gaitway import Client, NotFound, Rejected
+from gaitway import Client, NotFound
 from gaitway.cli.main import app
 from tests import probes
 from tests.api.conftest import Attempt, Stack, job, quiet, server, stack
@@ -97,7 +97,7 @@ def test_each_of_several_seeds_has_its_files_for_the_client_and_the_command_line
                 assert path.name == f"{stem}-seed-{of}.npz"
             assert client.video(attempt.id, tmp_path, seed=seed).read_bytes() == b"video of %d" % of
             assert client.poster(attempt.id, tmp_path, seed=seed).read_bytes() == b"poster of %d" % of
-        with pytest.raises(Rejected, match="has no seed 3; it has 4, 1"):
+        with pytest.raises(NotFound, match="has no seed 3; it has 4, 1"):
             client.video(attempt.id, tmp_path, seed=3)
 
     film = tmp_path / "film.mp4"
