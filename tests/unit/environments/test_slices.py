@@ -183,13 +183,13 @@ def test_a_quantitys_unit_is_that_of_its_joints(case: Case) -> None:
 
 
 def test_the_ends_of_an_action_set_what_they_say_at_the_actuator_that_they_name(case: Case) -> None:
-    environment, model = case.environment, case.environment.model
+    environment, model, state = case.environment, case.environment.model, case.state
     if case.info.option_values.model_dump().get("control") == "cpg":
         pytest.skip("its actions set oscillators")
     assert [one.name for one in case.spaces.action] == [name_of(model, number) for number in range(model.nu)]
     for end in (-1.0, 1.0):
         case.recorded.controls.clear()
-        environment.step(case.state, jnp.full(environment.action_size, end))
+        environment.step(state, jnp.full(environment.action_size, end))
         [control] = case.recorded.controls
         said = [one.low if end < 0 else one.high for one in case.spaces.action]
         np.testing.assert_allclose(control, np.array(said, float), rtol=1e-6)
