@@ -131,7 +131,7 @@ class Parts:
         return used
 
     def settings(self, **more: str) -> WorkerSettings:
-        """What a worker of this service would have."""
+        """The settings that a worker of this service would have."""
         values = {
             name.removeprefix(_PREFIX).lower(): value
             for name, value in self.environment.items()

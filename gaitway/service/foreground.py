@@ -22,6 +22,7 @@ from core.errors import Rejected
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from core.jobs.submission import completed
 from worker.compile_cache.local import CACHE
+from worker.host.child import device_variables
 from worker.protocol import (
     Advanced,
     FileReady,
@@ -45,7 +46,7 @@ def run_job(
 ) -> int:
     """Train, and leave all files in `out`; returns the exit status: 0, or 130 after Ctrl-C.
 
-    gpus: on so many of CUDA_VISIBLE_DEVICES; 0: on the CPU. resume: a checkpoint of the same job. Raises
+    gpus: how many of CUDA_VISIBLE_DEVICES to use; 0: the CPU. resume: a checkpoint of the same job. Raises
     GaitwayError for a document that no service would accept, and where the training fails.
     """
     spec = training(document)
@@ -55,7 +56,7 @@ def run_job(
     (out / CACHE).mkdir(exist_ok=True)
     if model is not None:
         shutil.copyfile(model, out / _MODEL)
-    os.environ |= {"JAX_PLATFORMS": "cpu"} if device == "cpu" else _visible(device)
+    os.environ |= device_variables(device)
     os.chdir(out)  # MuJoCo writes its log there, and the programs' cache has a relative path.
     task = Task(
         job_id="run",
@@ -105,7 +106,7 @@ def _train(task: Task, spec: TrainSpec, events: "Told") -> int:
 
 
 def device_of(gpus: int) -> str:
-    """`cpu`, or the first so many cards, of CUDA_VISIBLE_DEVICES if it is set: `gpu:0,1`. Raises Rejected."""
+    """`cpu`, or the first `gpus` cards, of CUDA_VISIBLE_DEVICES if it is set: `gpu:0,1`. Raises Rejected."""
     if not gpus:
         return "cpu"
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
@@ -113,10 +114,6 @@ def device_of(gpus: int) -> str:
     if len(cards) < gpus:
         raise Rejected(f"CUDA_VISIBLE_DEVICES has {len(cards)} GPUs, but --gpus asks for {gpus}.")
     return "gpu:" + ",".join(cards[:gpus])
-
-
-def _visible(device: str) -> dict[str, str]:
-    return {"CUDA_VISIBLE_DEVICES": device.partition(":")[2], "CUDA_DEVICE_ORDER": "PCI_BUS_ID"}
 
 
 def _size() -> Any:

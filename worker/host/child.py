@@ -124,7 +124,7 @@ class TrainingProcess:
     whether it confines itself when it loads a user's model (worker/confinement/own_files.py).
     """
 
-    def __init__(  # What it is given, each from another hand.
+    def __init__(
         self,
         command: Sequence[str],
         spool: Path,
@@ -203,10 +203,15 @@ def environment(device: str, data_dir: Path, base: Mapping[str, str]) -> dict[st
     kept |= {"PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1", variable("data_dir"): str(data_dir)}
     kept |= _modules(base)
     kept |= {name: base[name] for name in _PASSED_ON if name in base}
+    return kept | device_variables(device)
+
+
+def device_variables(device: str) -> dict[str, str]:
+    """The variables by which a process sees this device, and no other."""
     if device == "cpu":
-        return {**kept, "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
+        return {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
     # In the order of the device files, as in the locks' names; CUDA's default is the fastest first.
-    return {**kept, "CUDA_VISIBLE_DEVICES": device.partition(":")[2], "CUDA_DEVICE_ORDER": "PCI_BUS_ID"}
+    return {"CUDA_VISIBLE_DEVICES": device.partition(":")[2], "CUDA_DEVICE_ORDER": "PCI_BUS_ID"}
 
 
 def _may_be_secret(name: str, value: str) -> bool:

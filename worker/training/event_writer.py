@@ -93,7 +93,7 @@ class EventWriter:
         stem, dot, ending = name.partition(".")
         return f"{stem}-seed-{self._seed}{dot}{ending}"
 
-    def _announce(  # The parts of the message.
+    def _announce(
         self,
         name: str,
         path: str,

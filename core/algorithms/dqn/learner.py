@@ -48,7 +48,7 @@ _METRICS = ("loss", "q_value", "td_error")
 
 @struct.dataclass
 class Hyperparameters:
-    """What may change without recompiling; [] float32 each. decay_length: decisions."""
+    """The numbers that may change without recompiling; [] float32 each. decay_length: decisions."""
 
     learning_rate: jax.Array
     discounting: jax.Array

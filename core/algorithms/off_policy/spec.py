@@ -218,6 +218,6 @@ def replay_part(settings: OffPolicySpec, environment: EnvironmentInfo, numbers_p
 
 
 def environments_part(settings: OffPolicySpec, environment: EnvironmentInfo) -> Part:
-    """What is certainly kept of each environment: its observation and its reward."""
+    """The numbers that are certainly kept of each environment: its observation and its reward."""
     size = FLOAT_BYTES * settings.num_envs * ((environment.observation_size or 0) + 1)
     return Part(f"{settings.num_envs:,} environments", size, ("num_envs",))

@@ -19,7 +19,7 @@ from core.algorithms.ppo.spec import PPOSpec
 
 @struct.dataclass
 class Hyperparameters:
-    """What may change without recompiling; [] float32 each, infinite where a bound is not set.
+    """The numbers that may change without recompiling; [] float32 each, infinite where a bound is not set.
 
     num_updates: of the whole run. Everything else is compiled in.
     """

@@ -205,7 +205,7 @@ def _of_the_buffer(detail: str) -> Problem:
 
 # The table; and while it learns, the visits and the errors of each cell.
 _TABLES = 3
-# What a transition is made of: `table.Transitions`.
+# The numbers of a transition: see `table.Transitions`.
 _NUMBERS = 6
 
 

@@ -48,7 +48,7 @@ _OF_EVALUATIONS = 0x6576616C
 
 @struct.dataclass
 class Hyperparameters:
-    """What may change without recompiling. [agents] float32 each, but decay_length []."""
+    """The numbers that may change without recompiling. [agents] float32 each, but decay_length []."""
 
     learning_rate: jax.Array
     discounting: jax.Array

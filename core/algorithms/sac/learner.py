@@ -45,7 +45,7 @@ _LOSSES = ("critic_loss", "policy_loss", "alpha")
 
 @struct.dataclass
 class Hyperparameters:
-    """What may change without recompiling; [] float32 each."""
+    """The numbers that may change without recompiling; [] float32 each."""
 
     learning_rate: jax.Array
     discounting: jax.Array
