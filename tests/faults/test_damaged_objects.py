@@ -92,6 +92,8 @@ def test_a_store_that_says_nothing_at_all_is_an_outage(weed: Weed, object_store:
     )
     assert weed.process.pid is not None
     os.kill(weed.process.pid, signal.SIGSTOP)
+    # The signal is sent at once; the last of the process's threads stands still a moment later.
+    os.waitid(os.P_PID, weed.process.pid, os.WSTOPPED | os.WNOWAIT)
     try:
         with pytest.raises(StorageUnavailable):
             S3ObjectStore(client, weed.bucket).get("jobs/1/a")
