@@ -44,7 +44,7 @@ def main() -> int:
     if wanted == present:
         return 0
     if "--check" in sys.argv:
-        sys.stderr.write("gaitway/client is not up to date: run .venv/bin/python .ci/make_client.py\n")
+        sys.stderr.write("gaitway/client is not up to date: run ./run fmt\n")
         return 1
     MADE.mkdir(exist_ok=True)
     for path in present.keys() - wanted.keys():
