@@ -1,4 +1,4 @@
-"""Training: its rate, the seconds until a body moves well, and a job's way through the service; beside Brax.
+"""Training: its rate, the seconds until a body moves well, several seeds, and a job's way; beside Brax.
 
 A mark is reached at the end of the first evaluation of 128 episodes that has it as its mean, if a second one
 from other starts has it, too. Seconds count from the call of the trainer, evaluations included. Ours trains
@@ -24,7 +24,7 @@ from core.environments import catalog
 from core.environments.info import Device
 from gaitway.client import Client
 
-PARTS = ("rate", "mark", "job")
+PARTS = ("rate", "mark", "seeds", "job")
 _OURS, _BRAX = "bench.children.train_ours", "bench.children.train_brax"
 _EPISODES = 128
 # Brax has no learning rate that falls along a line, which costs no time.
@@ -90,6 +90,7 @@ _GATES: dict[Device, list[Gate]] = {
         Gate("walker2d", Mark(4515), 250_000, 5_000_000, "mjx", "sac", times=5, peer_most_s=90),
     ],
 }
+_TOGETHER, _TOGETHER_STEPS = 16, {"cpu": 500_000, "gpu": 20_000_000}
 _STAR = {"control": "cpg"}
 _RATES: dict[Device, list[Rate]] = {
     "cpu": [
@@ -127,7 +128,7 @@ def measure(arguments: argparse.Namespace) -> list[Figure]:
     if unknown := set(arguments.parts) - set(PARTS):
         raise SystemExit(f"There is no part {unknown.pop()!r} of the bench `train`.")
     device: Device = "gpu" if arguments.gpu else "cpu"
-    measured = {"rate": _rates, "mark": _marks, "job": _job}
+    measured = {"rate": _rates, "mark": _marks, "seeds": _seeds, "job": _job}
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
         return [
             figure
@@ -289,6 +290,27 @@ def _figures(gate: Gate, who: str, answers: Sequence[Answer | str], quick: bool)
         yield Figure(f"{name}: the worst seed ÷ the median", worst, "×", at_most=1.5)
         whole = [one["reached_at"] - one["began_at"] for one in warm if isinstance(one, dict)]
         yield Figure(f"{name}, warm, from the process's start, worst seed", max(whole), "s")
+
+
+def _seeds(device: Device, folder: Path, arguments: argparse.Namespace) -> Iterator[Figure]:
+    """Ants in one program, and one alone: the seconds of a training, compiling (cold) and without (warm)."""
+    budget: Answer = {"num_timesteps": _TOGETHER_STEPS[device], "num_evals": 4, "num_eval_envs": _EPISODES}
+    request = {
+        "environment": _QUICK_BODY if arguments.quick else "ant",
+        "options": {},
+        "engine": "auto",
+        "settings": {"kind": "ppo", **(_QUICK_PPO if arguments.quick else budget)},
+        "device": device,
+        "mark": None,
+    }
+    number = 2 if arguments.quick else _TOGETHER
+    for which in ("cold", "warm"):
+        took = [_answer(_OURS, {**request, "seed": seed}, folder / "seeds") for seed in (0, [*range(number)])]
+        alone, together = (one["ended_s"] if isinstance(one, dict) else None for one in took)
+        missing = next((one for one in took if isinstance(one, str)), "")
+        times = together / alone if alone and together else None
+        yield Figure(f"one seed alone, {which}", alone, "s", missing=missing)
+        yield Figure(f"{number} seeds together ÷ one alone, {which}", times, "×", missing=missing)
 
 
 def _job(device: Device, folder: Path, arguments: argparse.Namespace) -> Iterator[Figure]:

@@ -1,8 +1,8 @@
 """One training by this project's trainer, called directly.
 
-Request: environment, options; settings (of the algorithm, which its `kind` names); engine (or `auto`); seed;
-device (`cpu` or `gpu`); cache, a folder for compiled programs; mark (bench.train.Mark) or null: the run ends
-where an evaluation has it, and another from other starts has it, too.
+Request: environment, options; settings (of the algorithm, which its `kind` names); engine (or `auto`); seed,
+or several, which one program trains; device (`cpu` or `gpu`); cache, a folder for compiled programs; mark
+(bench.train.Mark) or null: the run ends where an evaluation has it, and another from other starts, too.
 """
 
 import time
@@ -15,12 +15,13 @@ from bench.child import answer
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[steps, seconds of training until then], …]; curve: [[steps, value of the mark's metric, or
     the return, seconds from the call], …]; reached_s: of them, at the mark, or null; reached_at: the hour of
-    that; first_update_s: from the call; engine."""
+    that; first_update_s and ended_s: from the call; engine."""
     from pydantic import TypeAdapter
 
     from core.algorithms.catalog import AlgorithmSpec, resolve
     from core.algorithms.events import Evaluated, Phase, Progress
     from core.algorithms.run import make_run
+    from core.algorithms.seeds import make_seeds_run
     from core.environments import catalog
     from core.physics.choose import engine_builder
 
@@ -35,7 +36,10 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     told: dict[str, Any] = {"training": [], "curve": [], "reached_s": None, "reached_at": None}
     told |= {"engine": engine, "first_update_s": None}
     began, confirming = time.perf_counter(), 0.0
-    run = make_run(environment, settings, seed=request["seed"], checkpoint_every_steps=None)
+    if isinstance(request["seed"], list):
+        run = make_seeds_run(environment, settings, seeds=request["seed"], checkpoint_every_steps=None)
+    else:
+        run = make_run(environment, settings, seed=request["seed"], checkpoint_every_steps=None)
     for event in run.events():
         seconds = time.perf_counter() - began - confirming
         match event:
@@ -54,7 +58,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
                         return {**told, "reached_s": seconds, "reached_at": reached_at}
             case _:
                 pass
-    return told
+    return {**told, "ended_s": time.perf_counter() - began}
 
 
 def keep_compiled(cache: str, engine: str) -> None:
