@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from gaitway import Client
-from gaitway.plots import learning_curve
 
 JOB: dict[str, Any] = {
     "kind": "train",
@@ -24,14 +23,13 @@ JOB: dict[str, Any] = {
 
 
 def main(client: Client, job: dict[str, Any], folder: Path) -> None:
-    """Train, and bring the video, the learning curve and the policy into the folder."""
+    """Train, and bring the video, the policy and a report with the curves into the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     ended = client.wait(client.submit(job).id)
     print(f"{ended.status}: {ended.message or ended.reason}")
     client.video(ended.id, folder / "video.mp4")
     client.download(ended.id, "policy", folder)
-    rows = [row.model_dump() for row in client.metrics(ended.id)]
-    learning_curve(rows, folder / "curve.png", title=job["name"])
+    client.share(ended.id, folder / "report.html")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,17 @@
-"""Metrics as data frames of pandas or polars, which are imported where one is asked for."""
+"""Metrics as data frames of pandas or polars, imported where one is asked for, or as a line of text."""
 
 import importlib
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 from gaitway.errors import MissingExtra
 from gaitway.schema import MetricsRow
+
+# The return, by the metrics that say it best first.
+RETURNS = ("eval/episode_reward", "training/episode_reward")
+_BARS = "▁▂▃▄▅▆▇█"
+SPARKLINE_WIDTH = 24
 
 
 def maker(as_: str) -> Callable[[Sequence[MetricsRow]], Any]:
@@ -38,3 +44,17 @@ def columns(rows: Sequence[MetricsRow]) -> dict[str, list[Any]]:
         "time": [row.time for row in rows],
         **{name: [row.values.get(name) for row in rows] for name in names},
     }
+
+
+def sparkline(values: Sequence[float], width: int = SPARKLINE_WIDTH) -> str:
+    """One character for each value, from the least (▁) to the greatest (█); of more than `width` values one
+    for each of `width` equally long parts, by its mean."""
+    if len(values) > width:
+        edges = [part * len(values) // width for part in range(width + 1)]
+        parts = [values[start:end] for start, end in pairwise(edges)]
+        values = [sum(part) / len(part) for part in parts]
+    if not values:
+        return ""
+    low, span = min(values), max(values) - min(values)
+    places = [round((value - low) / span * (len(_BARS) - 1)) if span else 3 for value in values]
+    return "".join(_BARS[place] for place in places)

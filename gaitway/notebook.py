@@ -1,32 +1,35 @@
 """What a notebook shows of a job. IPython is imported where something is shown live."""
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 from gaitway.errors import MissingExtra
+from gaitway.frames import RETURNS, sparkline
 
 if TYPE_CHECKING:
-    from gaitway.schema import JobView
+    from gaitway.schema import JobView, MetricsRow
 
 # A larger video is not put into a notebook, which would grow by a third more.
 MOST_BYTES = 16 * 2**20
+MOST_POINTS = 200
 _COLOURS = {"succeeded": "#1a7f37", "failed": "#c62828", "cancelled": "#9a6700"}
 
 
 @dataclass(frozen=True)
 class Card:
-    """What was fetched for it. curve: an SVG; video: an MP4. problem: why something could not be fetched."""
+    """What was fetched for it. returns: so far; video: an MP4. problem: why something is missing."""
 
-    curve: str | None = None
+    returns: Sequence[float] = ()
     video: bytes | None = None
     problem: str | None = None
 
 
 def job_html(job: "JobView", card: Card) -> str:
-    """The job's status and progress, its curve and its video: markup that needs nothing else."""
-    parts = [_head(job), _curve(card), _video(job, card.video)]
+    """The job's status and progress, its return and its video: markup that needs nothing else."""
+    parts = [_head(job), _returns(card), _video(job, card.video)]
     if card.problem:
         parts.append(f"<p><em>{escape(card.problem)}</em></p>")
     return f'<div style="max-width:720px">{"".join(filter(None, parts))}</div>'
@@ -53,7 +56,7 @@ class Display:
 
     def show(self, job: "JobView", card: Card) -> None:
         """Replace what is shown; the video only by another one."""
-        self._put("job", repr(job), _head(job) + _curve(card))
+        self._put("job", repr(job), _head(job) + _returns(card))
         if card.video is not None:
             newest = job.newest("video")
             self.video_seen = newest.sha256 if newest else None
@@ -90,11 +93,20 @@ def _head(job: "JobView") -> str:
     return head
 
 
-def _curve(card: Card) -> str:
-    """As an image, in which no script would run."""
-    if card.curve is None:
+def returns_of(rows: Sequence["MetricsRow"]) -> list[float]:
+    """The finite returns of evaluations in order, or, before there is one, of training."""
+    for name in RETURNS:
+        measured = (row.values.get(name) for row in rows)
+        if returns := [value for value in measured if value is not None]:
+            return returns
+    return []
+
+
+def _returns(card: Card) -> str:
+    """The return in one line of characters, and its last value."""
+    if not card.returns:
         return ""
-    return f'<img alt="The return over steps" src="data:image/svg+xml;base64,{_base64(card.curve.encode())}">'
+    return f"<p>return {sparkline(card.returns)} {card.returns[-1]:,.1f}</p>"
 
 
 def _video(job: "JobView", video: bytes | None) -> str:

@@ -1,21 +1,18 @@
-"""A job for others: its whole specification, a zip to run it again, a report and a picture to look at."""
+"""A job for others: its whole specification, a zip to run it again, and a report to look at."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from typing import Annotated, Any
+from typing import Any
 
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Query, Request, Response
-from pydantic import Field
+from fastapi import APIRouter, Request, Response
 from starlette.responses import StreamingResponse
 
-from api.curves import thinned
-from api.dependencies import JobId, Parameters, Service, ServiceDep
+from api.dependencies import JobId, Service, ServiceDep
 from api.errors import BodyTooLarge, TooManyImports, UnsupportedMediaType
 from api.files import PiecesResponse
 from api.problems import refusals
 from api.sharing.archive import open_archive
-from api.sharing.curve_svg import RETURNS, curve_svg, lines_of
 from api.sharing.export import export, first_read
 from api.sharing.importing import read_run
 from api.sharing.report import POLICY, open_report
@@ -29,21 +26,19 @@ from core.errors import (
     JobNotFound,
     JobUnreadable,
     RecordsUnavailable,
-    Rejected,
     StorageUnavailable,
 )
 from core.jobs.filled_in import filled_in
 from core.jobs.importing import import_run
 from core.jobs.job import Job
-from core.jobs.spec import Text
 from core.jobs.store import Idempotency
 from gaitway.schema import JobView
 
 router = APIRouter(tags=["sharing"])
 
 _REFUSALS = refusals(JobNotFound, JobUnreadable, RecordsUnavailable, StorageUnavailable)
-_CURVE_POINTS = 600
-# A report and a picture run nothing but a report's replay, and reach nothing, also when opened from here.
+# A report runs nothing but the viewers of its curves and replay, and reaches nothing, also when it is
+# opened from here.
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": f"{POLICY}; sandbox",
@@ -67,12 +62,6 @@ _ZIP_BODY: dict[str, Any] = {
         },
     }
 }
-
-
-class Pictured(Parameters):
-    """The metrics of a picture."""
-
-    metric: list[Text] = Field([], max_length=100, description="By default the return; repeatable.")
 
 
 @router.get(
@@ -170,7 +159,8 @@ def _import(upload: Upload, key: str | None, service: Service) -> Job:
 )
 def report_job(job_id: JobId, service: ServiceDep) -> Response:
     """A report on the job for people: one HTML file with curves, video, settings, versions, attempts and the
-    end of the log. It needs no network, so that it can be sent and kept. Only its replay runs scripts."""
+    end of the log. It needs no network, so that it can be sent and kept. Only its curves and its replay run
+    scripts."""
     job = service.store.get(job_id)
     opened = ExitStack()
     report = opened.enter_context(open_report(job, service))
@@ -183,20 +173,3 @@ def report_job(job_id: JobId, service: ServiceDep) -> Response:
         "Content-Type": "text/html; charset=utf-8",
     }
     return PiecesResponse(pieces, opened, 200, headers)
-
-
-@router.get(
-    "/jobs/{job_id}/curve",
-    response_class=Response,
-    responses={
-        200: {"description": "The picture", "content": {"image/svg+xml": {"schema": {"type": "string"}}}},
-        **refusals(JobNotFound, Rejected, RecordsUnavailable, StorageUnavailable),
-    },
-)
-def draw_curve(job_id: JobId, asked: Annotated[Pictured, Query()], service: ServiceDep) -> Response:
-    """Metrics over steps as a picture in SVG, for a notebook or a page elsewhere."""
-    names = tuple(asked.metric) or RETURNS
-    with service.curves.curves(job_id, frozenset(names)) as (curves, _):
-        rows = thinned(curves, _CURVE_POINTS, names)
-    title = "Metrics" if asked.metric else "Return"
-    return Response(curve_svg(lines_of(rows, names), title), headers=_HEADERS, media_type="image/svg+xml")

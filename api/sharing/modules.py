@@ -22,14 +22,14 @@ class EmbeddedModules:
 
 
 @cache
-def embedded_modules(entry: str) -> EmbeddedModules:
-    """A module and all that it imports, each as a `data:` address in an import map.
+def embedded_modules(*entries: str) -> EmbeddedModules:
+    """Modules and all that they import, each as a `data:` address in an import map.
 
-    entry: its path below `api/pages`. A module that is a `data:` address has no folder, so `./` and `../`
+    entries: paths below `api/pages`. A module that is a `data:` address has no folder, so `./` and `../`
     become paths below `api/pages`, which the map knows.
     """
     found: dict[str, str] = {}
-    waiting = [entry]
+    waiting = [*entries]
     while waiting:
         path = waiting.pop()
         if path not in found:
@@ -37,7 +37,7 @@ def embedded_modules(entry: str) -> EmbeddedModules:
             found[path] = f"data:text/javascript;base64,{b64encode(source.encode()).decode()}"
             waiting += imported
     import_map = json.dumps({"imports": found})
-    start = f"import {json.dumps(entry)};"
+    start = "".join(f"import {json.dumps(entry)};" for entry in entries)
     return EmbeddedModules(
         f'<script type="importmap">{import_map}</script><script type="module">{start}</script>',
         f"{_hashed(import_map)} {_hashed(start)} data:",

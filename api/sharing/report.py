@@ -10,25 +10,35 @@ from html import escape
 from api.dependencies import Service
 from api.page_files import page_files
 from api.sharing.modules import embedded_modules
-from api.sharing.report_sections import facts, section, sections, size_in_words
+from api.sharing.report_sections import (
+    NEEDS_SCRIPTS,
+    curves_of,
+    curves_section,
+    facts,
+    section,
+    sections,
+    size_in_words,
+)
 from core.errors import ObjectNotFound
 from core.jobs.job import Artifact, Job
 from core.storage.whole import check_whole
 
-# The file needs no other file and no network, and no script in it runs: a replay's own excepted.
+# The file needs no other file and no network, and no script in it runs but the viewers of curves and replay.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; media-src data:"
-_REPLAY_POLICY = (
+_VIEWERS_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; media-src data:; script-src "
 )
 _MOST_REPLAY_BYTES = 32_000_000
-_REPLAYING = "report/main.js"
+_CURVES, _REPLAY = "report/curves.js", "report/replay.js"
 _STYLE = """
 :root{color-scheme:light dark;--line:#d0d7de;--soft:#57606a;--shade:#eceff2;--paper:#fff}
-@media(prefers-color-scheme:dark){:root{--line:#3d444d;--soft:#9aa5b1;--shade:#22262b;--paper:#15171a}}
+:root{--curve-1:#0072b2;--curve-2:#d55e00;--accent:#0072b2}
+@media(prefers-color-scheme:dark){:root{--line:#3d444d;--soft:#9aa5b1;--shade:#22262b;--paper:#15171a}
+:root{--curve-1:#56b4e9;--curve-2:#e69f00;--accent:#56b4e9}}
 body{font:15px/1.5 system-ui,sans-serif;max-width:64rem;margin:2rem auto;padding:0 1rem}
 body{background:var(--paper);overflow-wrap:anywhere}
 h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem}
-.soft{color:var(--soft)}video,svg{max-width:100%;height:auto}
+.soft{color:var(--soft)}video{max-width:100%;height:auto}figure{margin:1rem 0}.chart h2{margin:0}
 .halves{display:grid;gap:1rem;grid-template-columns:repeat(auto-fit,minmax(min(20rem,100%),1fr))}
 .table{overflow-x:auto}table{border-collapse:collapse;width:100%}
 td,th{text-align:left;padding:.2rem .6rem .2rem 0;border-bottom:1px solid var(--line);vertical-align:top}
@@ -92,9 +102,11 @@ def open_report(job: Job, service: Service) -> Generator[Report]:
 
         film, replay = job.newest("video"), _replay_of(job, hold)
         parts = [*_video(job, film, hold(film)), *_replay_section(replay)]
-        runs = embedded_modules(_REPLAYING) if isinstance(replay, _Replay) else None
-        policy = POLICY if runs is None else _REPLAY_POLICY + runs.policy
-        after = "".join(sections(job, service)) + (runs.html if runs is not None else "")
+        curves = curves_of(job, service)
+        entries = [_CURVES] * bool(curves) + [_REPLAY] * isinstance(replay, _Replay)
+        viewers = embedded_modules(*entries) if entries else None
+        policy = POLICY if viewers is None else _VIEWERS_POLICY + viewers.policy
+        after = "".join([curves_section(curves), *sections(job, service), viewers.html if viewers else ""])
         yield _whole(policy, [f"{_head(job, policy)}{facts(job)}".encode(), *parts, after.encode()])
 
 
@@ -110,12 +122,14 @@ def _head(job: Job, policy: str) -> str:
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{_STYLE}{_replay_style()}</style></head><body><main><h1>{title}</h1>"
+        f"<title>{title}</title><style>{_STYLE}{_viewers_style()}</style></head><body><main><h1>{title}</h1>"
     )
 
 
-def _replay_style() -> str:
-    return page_files().by_path["style/replay.css"].content.decode()
+def _viewers_style() -> str:
+    return "".join(
+        page_files().by_path[path].content.decode() for path in ("vendor/uplot.css", "style/viewers.css")
+    )
 
 
 def _video(job: Job, film: Artifact | None, held: _Held | None) -> Iterator[bytes | _Held]:
@@ -161,7 +175,7 @@ def _replay_section(replay: _Replay | _NoReplay | None) -> Iterator[bytes | _Hel
         case _NoReplay.GONE:
             yield section("Replay", "<p>The object store does not give it whole any more.</p>").encode()
         case _Replay():
-            waiting = "<noscript>It needs scripts, which run here without a network.</noscript>"
+            waiting = f"<noscript>{NEEDS_SCRIPTS}</noscript>"
             yield section("Replay", f'<div id="replay">{waiting}</div>').encode()
             for name, file in (("replay-scene", replay.scene), ("replay-poses", replay.poses)):
                 yield f'<script type="text/plain" id="{name}">'.encode()

@@ -1,22 +1,24 @@
-"""The sections of a report that are text and curves."""
+"""The sections of a report that are text, and the values of its curves."""
 
 import json
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from html import escape
+from math import isfinite
 from typing import Any, cast
 
 from api.curves import thinned
 from api.dependencies import Service
-from api.sharing.curve_svg import RETURNS, curve_svg, lines_of
 from api.sharing.export import versions
 from core.algorithms.events import is_of_a_seed
 from core.jobs import feeds
 from core.jobs.filled_in import filled_in
 from core.jobs.job import Job
-from gaitway.schema import MetricsRow
+from gaitway.frames import RETURNS
 
+Curves = dict[str, tuple[list[int], list[float]]]  # The steps and finite values of each metric.
+NEEDS_SCRIPTS = "This needs scripts, which run here without a network."
 _POINTS = 400
 _LOG_LINES = 200
 
@@ -42,8 +44,7 @@ def facts(job: Job) -> str:
 
 
 def sections(job: Job, service: Service) -> Iterator[str]:
-    """The sections below the pictures, in order."""
-    yield _curves(job, service)
+    """The sections below the curves, in order."""
     yield section("Attempts", _attempts(job)) if job.attempts else ""
     yield section("Settings", _settings(job, service))
     yield section("Versions", _table(("", "Version"), _flat(versions(job))))
@@ -51,24 +52,35 @@ def sections(job: Job, service: Service) -> Iterator[str]:
     yield section("End of the log", f'<pre tabindex="0">{escape(_log(job, service))}</pre>')
 
 
-def _curves(job: Job, service: Service) -> str:
+def curves_of(job: Job, service: Service) -> Curves:
+    """The curves of the job's metrics, thinned; those of single seeds and those never finite are left out."""
     with service.curves.curves(job.id, None) as (curves, _):
         rows = thinned(curves, _POINTS)
-    measured = {name for row in rows for name in row.values if not is_of_a_seed(name)}
-    names = sorted(measured - set(RETURNS))
-    if not rows:
+    found: Curves = {}
+    for name in sorted({name for row in rows for name in row.values if not is_of_a_seed(name)}):
+        points = [(row.step, value) for row in rows if (value := row.values.get(name)) is not None]
+        points = [(step, value) for step, value in points if isfinite(value)]
+        if points:
+            found[name] = ([step for step, _ in points], [value for _, value in points])
+    return found
+
+
+def curves_section(curves: Curves) -> str:
+    """The last and best returns, and the place where `report/curves.js` draws the curves."""
+    if not curves:
         return section("Curves", "<p>Nothing was measured.</p>")
-    others = "".join(curve_svg(lines_of(rows, [name]), name) for name in names)
-    more = (
-        f'<details><summary>{len(names)} other metrics</summary><div class="halves">{others}</div></details>'
+    bests = [
+        (name, f"{values[-1]:.6g}", f"{max(values):.6g}")
+        for name, (_, values) in curves.items()
+        if name in RETURNS
+    ]
+    table = _table(("Metric", "Last", "Best"), bests) if bests else ""
+    held = json.dumps(curves).replace("<", "\\u003c")  # No value ends the element.
+    return section(
+        "Curves",
+        f'<div id="curves"><noscript>{NEEDS_SCRIPTS}</noscript></div>{table}'
+        f'<script type="application/json" id="curves-data">{held}</script>',
     )
-    return section("Return", curve_svg(lines_of(rows, RETURNS), "Return") + _bests(rows) + more * bool(names))
-
-
-def _bests(rows: Sequence[MetricsRow]) -> str:
-    lines = lines_of(rows, RETURNS)
-    found = [(one.name, f"{one.values[-1]:.6g}", f"{max(one.values):.6g}") for one in lines]
-    return _table(("Metric", "Last", "Best"), found) if found else ""
 
 
 def _attempts(job: Job) -> str:

@@ -158,13 +158,8 @@ class AsyncJobs(AsyncFollowing):
                 return frame(frames.only(names, rows) if names else rows)
             after = page.next
 
-    async def curve(self, job_id: str, names: Sequence[str] = ()) -> str:
-        """A picture of metrics over steps, as SVG; by default of the return."""
-        path = await self._job_path(job_id, "curve")
-        return (await self._request("GET", path, params={"metric": [*names]})).text
-
     async def show(self, job_id: str, *, every_s: float = 1.0) -> None:
-        """Follow a job in a notebook: its status, curve and newest video stand below the cell until it ends.
+        """Follow a job in a notebook: its status, return and newest video stand below the cell until it ends.
 
         every_s: seconds between two looks. Raises MissingExtra outside a notebook.
         """
@@ -185,16 +180,21 @@ class AsyncJobs(AsyncFollowing):
         return job
 
     async def card(self, job: JobView) -> Card:
-        """The pictures that a notebook shows of the job."""
+        """The return and the video that a notebook shows of the job."""
         return await self._card(job, None)
 
     async def _card(self, job: JobView, video_seen: str | None) -> Card:
         """video_seen: the hash of a video that is shown already."""
-        curve = await self.curve(job.id) if job.kind == "train" else None
+        rows = (
+            await self.metrics(job.id, names=frames.RETURNS, points=notebook.MOST_POINTS)
+            if job.kind == "train"
+            else ()
+        )
+        returns = notebook.returns_of(rows)
         video = job.newest("video")
         if video is None or video.sha256 == video_seen or video.size > notebook.MOST_BYTES:
-            return Card(curve, None)
-        return Card(curve, (await self._request("GET", video.href)).content)
+            return Card(returns)
+        return Card(returns, (await self._request("GET", video.href)).content)
 
 
 def _query(filters: Mapping[str, Any]) -> dict[str, Any]:

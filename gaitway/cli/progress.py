@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
 
@@ -9,17 +10,35 @@ from rich.console import RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from gaitway.cli.sparkline import History, sparkline
 from gaitway.cli.terminal import Console
+from gaitway.frames import RETURNS, sparkline
 from gaitway.schema import JobView
 from gaitway.views import Event
 
-_RETURN = ("eval/episode_reward", "training/episode_reward")
 _SPEED = ("eval/forward_speed", "training/forward_speed")
 _WORDS = {"drawing": "drawing the video"}
 # These follow one another with each evaluation: no news where every piece of it is a line.
 _ROUTINE = {"training", "evaluating"}
 _HELD = {"starting", "running", "cancelling"}
+
+
+@dataclass
+class History:
+    """One metric over rising steps."""
+
+    steps: list[int] = field(default_factory=list[int])
+    values: list[float] = field(default_factory=list[float])
+
+    def add(self, step: int, value: float | None) -> None:
+        """Append a value. One of an earlier step comes from an attempt that began again at a checkpoint: it
+        replaces what followed that checkpoint. None, a value that was not finite, is left out."""
+        if value is None:
+            return
+        while self.steps and self.steps[-1] >= step:
+            self.steps.pop()
+            self.values.pop()
+        self.steps.append(step)
+        self.values.append(value)
 
 
 class JobProgress:
@@ -37,7 +56,7 @@ class JobProgress:
         self.eta_s: float | None = None
         self.metrics: dict[str, float] = {}
         self.phase: str | None = None
-        self._returns = {name: History() for name in _RETURN}
+        self._returns = {name: History() for name in RETURNS}
         self._console = console or Console()
         self._every_s = every_s
         self._told_at = float("-inf")
@@ -93,7 +112,7 @@ class JobProgress:
             parts.insert(0, f"{done:,.0f}/{episodes:,.0f} episodes")
         if self.steps_per_second:
             parts.append(f"{self.steps_per_second:,.0f} steps/s")
-        if (reward := self._first(_RETURN)) is not None:
+        if (reward := self._first(RETURNS)) is not None:
             parts.append(f"return {reward:,.1f} {curve}".rstrip())
         if (speed := self._first(_SPEED)) is not None:
             parts.append(f"{speed:.2f} m/s")

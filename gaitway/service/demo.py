@@ -14,7 +14,6 @@ from gaitway.cli.progress import JobProgress
 from gaitway.cli.terminal import Console
 from gaitway.client import Client
 from gaitway.errors import GaitwayError
-from gaitway.plots import learning_curve
 from gaitway.schema import JobView
 from gaitway.service.embedded.interruption import Interrupted
 from gaitway.service.embedded.processes import ServerFailed
@@ -110,10 +109,7 @@ def _fetch(client: Client, job: JobView, out: Path) -> dict[str, Path]:
         kept["policy"] = client.download(
             job.id, policy.name, out / f"{name}-policy{Path(policy.name).suffix}"
         )
-    rows = [row.model_dump() for row in client.metrics(job.id)]
-    if rows:
-        kept["learning curve"] = out / f"{name}-curve.png"
-        learning_curve(rows, kept["learning curve"], title=f"{name}: {job.name or job.id}")
+    kept["report"] = client.share(job.id, out / f"{name}-report.html")
     return kept
 
 

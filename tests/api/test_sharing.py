@@ -16,7 +16,6 @@ from zipfile import ZipFile
 import httpx
 import pytest
 
-from api.sharing.curve_svg import Line, curve_svg
 from api.sharing.zip_stream import Member, zip_stream
 from core.adapters.memory.objects import MemoryObjectStore
 from core.jobs.status import JobStatus
@@ -171,7 +170,7 @@ def test_a_store_that_goes_away_in_the_middle_breaks_the_connection(
         stack.http.get(f"/jobs/{attempt.id}/export")
 
 
-@pytest.mark.parametrize("what", ["export", "report.html", "specification", "curve"])
+@pytest.mark.parametrize("what", ["export", "report.html", "specification"])
 def test_a_job_that_does_not_exist_is_a_404(stack: Stack, what: str) -> None:
     assert stack.http.get(f"/jobs/019aa3c2f0b1-5be0c1d2e3/{what}").status_code == 404
     with stack.away("store"):
@@ -196,11 +195,15 @@ def test_markup_in_names_logs_and_metrics_is_text_and_nothing_runs(stack: Stack)
     attempt.end(JobStatus.FAILED, Reason.DIVERGED)
     report = stack.http.get(f"/jobs/{attempt.id}/report.html")
     assert "<img" not in report.text
-    assert "<script" not in report.text
+    # The page's own: values, addresses and the start of the viewers.
+    assert re.findall(r"<script[^>]*>", report.text) == [
+        '<script type="application/json" id="curves-data">',
+        '<script type="importmap">',
+        '<script type="module">',
+    ]
+    assert report.text.count("</script>") == 3
     assert report.text.count("&lt;img") >= 4
     assert "sandbox" in report.headers["content-security-policy"]
-    curve = stack.http.get(f"/jobs/{attempt.id}/curve", params={"metric": EVIL})
-    assert (curve.headers["content-type"], "<img" in curve.text) == ("image/svg+xml", False)
 
 
 def test_the_size_that_a_report_states_is_its_size(stack: Stack) -> None:
@@ -212,18 +215,16 @@ def test_the_size_that_a_report_states_is_its_size(stack: Stack) -> None:
     assert float(stated[1]) == pytest.approx(len(report.content) / 1e6, abs=0.06)
 
 
-def test_a_curve_is_drawn_to_scale_and_says_its_last_value() -> None:
-    svg = curve_svg([Line("return", [0, 50, 100], [0.0, 10.0, 5.0])], "Return")
-    assert 'aria-label="Return. return: last 5 at 100"' in svg
-    found = re.search(r'points="([^"]*)"', svg)
-    assert found is not None
-    # x from 64 to 628, y from 210 up to 28: half of the way is (346, 119).
-    assert found[1] == "64.0,210.0 346.0,28.0 628.0,119.0"
-    assert "nothing measured yet" in curve_svg([], "Return")
-    assert "NaN" not in curve_svg([Line("one", [5], [3.0])], "One")
-
-
-def test_a_curve_refuses_what_would_have_no_effect(stack: Stack) -> None:
+def test_a_report_holds_the_finite_values_of_each_metric_and_runs_nothing_without_any(stack: Stack) -> None:
     attempt = Attempt(stack, job())
-    assert "nothing measured yet" in stack.http.get(f"/jobs/{attempt.id}/curve").text
-    assert stack.http.get(f"/jobs/{attempt.id}/curve", params={"colour": "red"}).status_code == 422
+    empty = stack.http.get(f"/jobs/{attempt.id}/report.html")
+    assert "Nothing was measured." in empty.text
+    assert "<script" not in empty.text
+    assert "allow-scripts" not in empty.headers["content-security-policy"]
+    for step, value in enumerate([0.0, 10.0, None, 5.0]):
+        attempt.say("metrics", step=50 * step, values={"eval/episode_reward": value, "training/loss": None})
+    report = stack.http.get(f"/jobs/{attempt.id}/report.html").text
+    held = re.search(r'id="curves-data">(.*?)</script>', report)
+    assert held is not None
+    assert json.loads(held[1]) == {"eval/episode_reward": [[0, 50, 150], [0.0, 10.0, 5.0]]}
+    assert "<td>eval/episode_reward</td><td>5</td><td>10</td>" in report

@@ -151,8 +151,8 @@ def _following(stack: Stack, client: Either) -> None:
         frame = client.metrics(attempt.id, as_=kind)
         assert list(frame.columns) == ["step", "time", "eval/episode_reward", "training/loss"]
         assert list(frame["eval/episode_reward"]) == [2.5]
-    assert "last 2.5 at 7" in client.curve(attempt.id)
-    assert client.card(client.get(attempt.id)).video is None
+    card = client.card(client.get(attempt.id))
+    assert (card.returns, card.video) == ([2.5], None)
     with pytest.raises(MissingExtra, match="in a notebook alone"):
         client.show(attempt.id)
 
@@ -243,7 +243,7 @@ def test_nobody_listening_is_a_sentence(portal: BlockingPortal, kind: type[Clien
     client.close()
 
 
-def test_a_job_in_a_notebook_has_its_curve_and_its_video_and_markup_is_text(stack: Stack) -> None:
+def test_a_job_in_a_notebook_has_its_return_and_its_video_and_markup_is_text(stack: Stack) -> None:
     attempt = Attempt(stack, job(name="<b>fast</b>"))
     attempt.say("metrics", step=7, values={"eval/episode_reward": 2.5})
     attempt.keep("video.mp4", b"film")
@@ -251,7 +251,7 @@ def test_a_job_in_a_notebook_has_its_curve_and_its_video_and_markup_is_text(stac
         html = client.get(attempt.id)._repr_html_()
     assert "&lt;b&gt;fast" in html
     assert "<b>" not in html
-    assert 'src="data:image/svg+xml;base64,' in html
+    assert "return ▄ 2.5" in html
     assert 'src="data:video/mp4;base64,ZmlsbQ=="' in html  # "film"
 
 

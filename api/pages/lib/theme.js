@@ -6,7 +6,13 @@ const KEY = "gaitway-theme";
 const system = matchMedia("(prefers-color-scheme: dark)");
 const listeners = new Set();
 
-const chosen = () => localStorage.getItem(KEY);
+function chosen() {
+  try {
+    return localStorage.getItem(KEY);
+  } catch {
+    return null; // A report that the service shows has no storage.
+  }
+}
 export const isDark = () => (chosen() ? chosen() === "dark" : system.matches);
 
 export function applyTheme() {

@@ -85,7 +85,8 @@ def test_a_report_opens_from_a_disk_with_curve_video_settings_and_log(
     page = reader.open(stack, attempt.id)
     expect(page.get_by_role("heading", name="first steps")).to_be_visible()
     # √950 = 30.82
-    expect(page.get_by_role("img", name="Return. eval/episode_reward: last 30.82 at 950")).to_be_visible()
+    curve = page.get_by_role("img", name="Return. eval/episode_reward: last 30.82 at 950")
+    expect(curve.locator("canvas")).to_be_visible()
     # 2: the present frame's data is there.
     page.wait_for_function("document.querySelector('video').readyState >= 2")
     assert page.evaluate("document.querySelector('video').videoWidth") == 320
@@ -93,7 +94,7 @@ def test_a_report_opens_from_a_disk_with_curve_video_settings_and_log(
     expect(page.get_by_role("row", name="seed 3 sent")).to_be_visible()
     expect(page.get_by_role("row", name="priority normal filled in")).to_be_visible()
     page.get_by_text("1 other metrics").click()
-    expect(page.get_by_role("img", name="training/loss")).to_be_visible()
+    expect(page.get_by_role("img", name="training/loss").locator("canvas")).to_be_visible()
     expect(page.get_by_text("compiled in 12 s")).to_be_visible()
     expect(page.get_by_text("needs no network")).to_be_visible()
     assert flaws(page) == []

@@ -22,7 +22,6 @@ PARTS = (
         "/metrics?format=csv",
         "/logs",
         "/events?follow=false",
-        "/curve",
     ),
     *("/specification", "/artifacts", "/checkpoints", "/export", "/report.html"),
 )

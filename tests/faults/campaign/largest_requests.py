@@ -371,12 +371,6 @@ def _metrics(service: Service, route: str) -> Iterator[Form]:
         yield Form(route, f"{what}, 10,000 points", "GET", f"{path}?points=10000")
 
 
-def _curve(service: Service, route: str) -> Iterator[Form]:
-    names = "&".join(f"metric=eval/metric_{n:04}" for n in range(100))
-    for what in list(service.imports())[:2]:
-        yield Form(route, f"{what}, 100 metrics", "GET", f"/jobs/{service.imported(what)}/curve?{names}")
-
-
 def _options() -> str:
     options = {"healthy_z_range": [0.2, 1.0], "healthy_reward": 0.5}
     return quote(json.dumps(options).ljust(MAX_OPTIONS_LENGTH))
@@ -410,7 +404,6 @@ _FORMS: dict[str, Forms] = {
     "GET /jobs/{job_id}/export": _of_import("/export"),
     "POST /jobs/import": _imports,
     "GET /jobs/{job_id}/report.html": _of_import("/report.html"),
-    "GET /jobs/{job_id}/curve": _curve,
     "POST /sweeps": _sweeps,
     "GET /sweeps": _listing_of_sweeps,
     "GET /sweeps/{sweep_id}": _of_sweep("GET", "", 200),

@@ -2,10 +2,9 @@
 
 import io
 
-from rich.console import Console
-
-from gaitway.cli.progress import JobProgress
-from gaitway.cli.sparkline import History, sparkline
+from gaitway.cli.progress import History, JobProgress
+from gaitway.cli.terminal import Console
+from gaitway.frames import sparkline
 from gaitway.views import Event
 
 
