@@ -11,15 +11,18 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import httpx
 import psutil
-from playwright.sync_api import Browser, sync_playwright
 
 from core.settings import WorkerSettings
 from gaitway.service.embedded.folders import private_folder
 from gaitway.service.embedded.processes import ServerProcess, free_ports
 from gaitway.service.embedded.servers import EmbeddedServers
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 _START_S, _STOP_S = 60.0, 90.0
 _CHROMIUM = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync")
@@ -183,11 +186,13 @@ def _wait_ready(url: str, workers: int, lives: Callable[[], bool]) -> None:
 
 
 @contextmanager
-def chromium(*flags: str) -> Generator[Browser]:
+def chromium(*flags: str) -> Generator["Browser"]:
     """A Chromium without a window. Raises RuntimeError where there is none."""
     path = shutil.which("chromium") or shutil.which("google-chrome")
     if path is None:
         raise RuntimeError("There is no Chromium; on Debian: apt-get install chromium fonts-dejavu-core")
+    from playwright.sync_api import sync_playwright  # A GPU machine that measures training has no browser.
+
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=[*_CHROMIUM, *flags])
         yield browser

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import timedelta
+from typing import TYPE_CHECKING
 
 import httpx
-from playwright.sync_api import Browser
 
 from bench.stack import Parts, chromium, running_parts, until
 from bench.summary import Figure, middle, percentile
@@ -23,6 +23,9 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, JobStore
 from core.reasons import Reason
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 _LEASE = timedelta(seconds=50)  # At most four of the service's own.
 _RETURN = "eval/episode_reward"
@@ -100,7 +103,7 @@ def _curve_ms(http: httpx.Client, job: Job) -> float:
     return 1000 * (time.perf_counter() - began)
 
 
-def _first_paints(browser: Browser, url: str) -> tuple[list[float], float]:
+def _first_paints(browser: "Browser", url: str) -> tuple[list[float], float]:
     """Milliseconds of five visits by new readers, and the bytes of one."""
     found = list[tuple[float, float]]()
     for _ in range(5):
@@ -112,7 +115,7 @@ def _first_paints(browser: Browser, url: str) -> tuple[list[float], float]:
     return [paint for paint, _ in found], found[0][1]
 
 
-def _delays(browser: Browser, url: str, store: JobStore, count: int) -> Sequence[float]:
+def _delays(browser: "Browser", url: str, store: JobStore, count: int) -> Sequence[float]:
     """Milliseconds from the write of a metric until its value is on the page."""
     job = _run(store, "watched", 10)
     page = browser.new_context().new_page()
