@@ -31,10 +31,10 @@ from gaitway.service.embedded.valkey import Valkey
 from gaitway.service.embedded.weed import Weed
 from gaitway.service.embedded.weed_environment import REGION
 from tests.compiling import compile_quickly, compiling_quickly
+from tests.kept_programs import forget_old_programs, keep_programs
 from tests.memory_folder import memory_folder
-from tests.order import spread
 
-pytest_plugins = ["tests.durations", "tests.hypothesis_profiles"]
+pytest_plugins = ["tests.durations", "tests.hypothesis_profiles", "tests.order"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -42,14 +42,15 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("GAITWAY_PREPARE", "")
     if "not slow" in config.option.markexpr:
         compile_quickly()
+    keep_programs()
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         # A shell's background job ignores it, and so would all that the tests start and end by it.
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-@pytest.hookimpl(trylast=True)  # The order of those that run.
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items[:] = spread(items)
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):
+        forget_old_programs()
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 BUDGETS: dict[str, float] = {}
-_KEPT = Path(__file__).parents[1] / ".cache" / "durations.json"
+KEPT = Path(__file__).parents[1] / ".cache" / "durations.json"
 _seconds = dict[str, tuple[float, float]]()
 
 
@@ -47,8 +47,9 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     if hasattr(session.config, "workerinput") or not _seconds:
         return
-    _KEPT.parent.mkdir(exist_ok=True)
-    _KEPT.write_text(json.dumps(dict(sorted(_seconds.items(), key=lambda one: -one[1][1])), indent=0))
+    KEPT.parent.mkdir(exist_ok=True)
+    all_of_them = {**kept(), **_seconds}
+    KEPT.write_text(json.dumps(dict(sorted(all_of_them.items(), key=lambda one: -one[1][1])), indent=0))
     if BUDGETS and _is_whole(session.config) and over_budget() and session.exitstatus == 0:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
@@ -63,7 +64,12 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.line(f"{folder:32} {wall:7.0f} {processor:7.0f} {budget}")
     if _is_whole(terminalreporter.config):
         for folder in over_budget():
-            terminalreporter.line(f"{folder} takes more than its budget: see {_KEPT.name}", red=True)
+            terminalreporter.line(f"{folder} takes more than its budget: see {KEPT.name}", red=True)
+
+
+def kept() -> dict[str, tuple[float, float]]:
+    """Seconds of each test when it last ran here: wall, processor."""
+    return json.loads(KEPT.read_text()) if KEPT.exists() else {}
 
 
 def by_folder() -> dict[str, tuple[float, float]]:
@@ -83,7 +89,9 @@ def over_budget() -> list[str]:
 
 
 def _is_whole(config: pytest.Config) -> bool:
-    return not config.option.keyword and config.args == config.getini("testpaths")
+    """Whether this was the default suite: all of it, and no more."""
+    whole = config.args == config.getini("testpaths") and not config.option.keyword
+    return whole and "not extra" in config.option.markexpr
 
 
 def _now() -> tuple[float, float]:

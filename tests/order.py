@@ -1,8 +1,12 @@
 """In which order the files of tests are run: those that mostly wait beside those that mostly compute."""
 
+from collections import Counter
 from itertools import groupby
+from typing import Any
 
 import pytest
+
+from tests.durations import kept
 
 # Their tests start processes, and wait for them and for one another.
 _WAITING = ("tests/e2e/", "tests/faults/")
@@ -10,9 +14,24 @@ _WAITING = ("tests/e2e/", "tests/faults/")
 _UNTIL = 0.9
 
 
-def spread(items: list[pytest.Item]) -> list[pytest.Item]:
-    """The same tests, the files that wait spread evenly over the others; each kind stays in its order."""
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """All processes of a run order the tests alike."""
+    node.workerinput["last_seconds"] = last_seconds()
+
+
+@pytest.hookimpl(trylast=True)  # The order of those that run.
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    items[:] = spread(items, getattr(config, "workerinput", {}).get("last_seconds", {}))
+
+
+def spread(items: list[pytest.Item], seconds: dict[str, float]) -> list[pytest.Item]:
+    """The same tests, the files that wait spread evenly over the others.
+
+    seconds: what files took. Those of each kind that took longest come first.
+    """
     files = [list(tests) for _, tests in groupby(items, key=_file)]
+    files.sort(key=lambda tests: -seconds.get(_file(tests[0]), 0.0))
     waiting = [tests for tests in files if _file(tests[0]).startswith(_WAITING)]
     computing = [tests for tests in files if not _file(tests[0]).startswith(_WAITING)]
     places = [
@@ -20,6 +39,14 @@ def spread(items: list[pytest.Item]) -> list[pytest.Item]:
         *((number / len(computing), tests) for number, tests in enumerate(computing)),
     ]
     return [test for _, tests in sorted(places, key=lambda place: place[0]) for test in tests]
+
+
+def last_seconds() -> dict[str, float]:
+    """The wall time of each file when it last ran; empty where it never did."""
+    seconds = Counter[str]()
+    for nodeid, (wall, _) in kept().items():
+        seconds[nodeid.partition("::")[0]] += wall
+    return dict(seconds)
 
 
 def _file(item: pytest.Item) -> str:

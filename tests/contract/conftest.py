@@ -1,9 +1,5 @@
-"""The record's tables; and Warp's compiled kernels, kept for all processes of one test run.
+"""The record's tables; and Warp's kernels, whose compilation takes most of a minute."""
 
-Compiling those takes most of a minute.
-"""
-
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +8,7 @@ import pytest
 
 from core.physics.warp_cache import set_warp_cache
 from tests.contract.recording import Database
+from tests.kept_programs import KEPT
 
 
 @pytest.fixture
@@ -22,13 +19,10 @@ def database(database_url: str) -> Iterator[Database]:
 
 
 @pytest.fixture(scope="session")
-def warp_kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def warp_kernels() -> Path:
     import warp
 
-    folder = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = folder.parent  # each process of xdist has a folder of its own in there
-    set_warp_cache(folder / "warp")
+    set_warp_cache(KEPT / "warp")
     if not warp.is_cuda_available():  # CUDA 13's compiler is unsafe so, and Warp warns of it.
         warp.config.optimization_level = 0  # Halves the time that compiling takes.
-    return folder / "warp"
+    return KEPT / "warp"

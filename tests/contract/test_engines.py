@@ -44,6 +44,7 @@ BODY = """
   </sensor>
 </mujoco>
 """
+MORE = [pytest.param(name, marks=pytest.mark.extra) for name in ("mjx", "warp")]
 INTEGRATED = ("time", "qpos", "qvel", "act", "qacc_warmstart")
 FRESH = tuple(name for name in DERIVED_FIELDS if name != "qfrc_actuator")
 
@@ -61,7 +62,7 @@ class JittedEngine:
     tolerance: float
 
 
-@pytest.fixture(scope="module", params=["native", "mjx", "warp", "compiled"])
+@pytest.fixture(scope="module", params=["native", *MORE, "compiled"])
 def bench(request: pytest.FixtureRequest) -> JittedEngine:
     name: EngineName = request.param
     if name == "warp":
@@ -189,7 +190,7 @@ def test_many_environments_move_as_each_would_alone(bench: JittedEngine) -> None
             np.testing.assert_allclose(one, other, rtol=1e-4, atol=bench.tolerance * 0.1)
 
 
-@pytest.mark.parametrize("name", ["native", "warp", "compiled"])
+@pytest.mark.parametrize("name", ["native", MORE[1], "compiled"])
 def test_environments_may_lie_on_two_axes(name: EngineName, request: pytest.FixtureRequest) -> None:
     # JAX itself sees to it for MJX; the other engines' callbacks are given both axes.
     if name == "warp":
@@ -235,7 +236,7 @@ def test_an_environment_that_breaks_is_not_a_number_and_its_neighbours_do_not_mi
         np.testing.assert_array_equal(after.qpos[index], fine.qpos[index])
 
 
-@pytest.mark.parametrize("name", ["native", "warp", "compiled"])
+@pytest.mark.parametrize("name", ["native", MORE[1], "compiled"])
 def test_several_threads_may_use_one_engine(name: EngineName, request: pytest.FixtureRequest) -> None:
     if name == "warp":
         request.getfixturevalue("warp_kernels")
@@ -318,6 +319,11 @@ FAST = [
     *(("warp", body) for body in ("ant", "humanoid", "rodent")),
     *(("compiled", body) for body in COVERED if body not in LONG),
 ]
+MORE_BODIES = [
+    pytest.param(engine, body, marks=pytest.mark.extra)
+    for engine, body in FAST
+    if (engine, body) != ("compiled", "ant")
+]
 SLOW = [
     pytest.param(engine, body, marks=[pytest.mark.slow, pytest.mark.timeout(300)])
     for engine, bodies in (("mjx", BODIES), ("warp", BODIES), ("compiled", LONG))
@@ -326,7 +332,7 @@ SLOW = [
 ]
 
 
-@pytest.mark.parametrize(("name", "environment"), [*FAST, *SLOW])
+@pytest.mark.parametrize(("name", "environment"), [("compiled", "ant"), *MORE_BODIES, *SLOW])
 def test_the_engines_move_every_body_alike(
     name: EngineName, environment: str, request: pytest.FixtureRequest
 ) -> None:

@@ -131,9 +131,10 @@ def fields_of(models: list[mujoco.MjModel]) -> dict[str, Any]:
 
 # MJX takes half a minute to compile a body with contacts.
 SLOW_MJX = pytest.param("mjx", marks=[pytest.mark.slow, pytest.mark.timeout(300)])
+WARP = pytest.param("warp", marks=pytest.mark.extra)
 
 
-@pytest.fixture(scope="module", params=["native", SLOW_MJX, "warp", "compiled"])
+@pytest.fixture(scope="module", params=["native", SLOW_MJX, WARP, "compiled"])
 def bench(request: pytest.FixtureRequest) -> RandomizedEngine:
     name: EngineName = request.param
     if name == "warp":
@@ -166,7 +167,7 @@ def test_an_environment_moves_as_plain_mujoco_with_its_model_does(bench: Randomi
     np.testing.assert_allclose(bench.end.act[env], data.act, atol=bench.tolerance)
 
 
-@pytest.mark.parametrize("name", ["native", SLOW_MJX, "warp", "compiled"])
+@pytest.mark.parametrize("name", ["native", SLOW_MJX, WARP, "compiled"])
 def test_derived_fields_are_those_of_each_environments_own_model(
     name: EngineName, request: pytest.FixtureRequest
 ) -> None:

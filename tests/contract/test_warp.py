@@ -25,7 +25,7 @@ BALL = """
 """
 ON_THE_FLOOR, IN_THE_AIR = 0.099, 1.0
 
-pytestmark = pytest.mark.usefixtures("warp_kernels")
+pytestmark = [pytest.mark.extra, pytest.mark.usefixtures("warp_kernels")]
 
 
 def balls(heights: list[float], room: Capacity | None, monkeypatch: pytest.MonkeyPatch) -> PhysicsState:

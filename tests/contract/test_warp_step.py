@@ -12,7 +12,7 @@ from core.physics.warp_kernels import load_kernels
 from core.physics.warp_step import Substep
 from tests.contract.test_warp import BALL
 
-pytestmark = pytest.mark.usefixtures("warp_kernels")
+pytestmark = [pytest.mark.extra, pytest.mark.usefixtures("warp_kernels")]
 
 
 def balls() -> tuple[Any, Any]:

@@ -71,6 +71,7 @@ def test_sac_goes_the_same_way_as_ppo(quick_client: Client, tmp_path: Path) -> N
     assert len(np.unique(episode.action)) > 1
 
 
+@pytest.mark.extra
 def test_a_deep_q_network_goes_the_same_way(quick_client: Client, tmp_path: Path) -> None:
     job = quick_client.wait(quick_client.submit(SMALL_DQN).id, timeout=110)
     assert job.succeeded, job.message
@@ -92,6 +93,7 @@ def test_a_deep_q_network_goes_the_same_way(quick_client: Client, tmp_path: Path
     np.testing.assert_array_equal(episode.action[0:-1:2], episode.action[1::2])
 
 
+@pytest.mark.extra
 def test_a_table_goes_the_same_way_as_a_network(quick_client: Client, tmp_path: Path) -> None:
     # Rounds of 8 environments, 25 decisions of 2 steps: 400 steps. Angle and its velocity are seen.
     components = [

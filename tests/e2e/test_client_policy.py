@@ -22,6 +22,8 @@ from tests.api.conftest import Attempt, Stack, job, quiet, server, stack
 from tests.exports import numpy_file_of
 from tests.unit.algorithms.checkpoints import pack
 
+pytestmark = pytest.mark.extra
+
 __all__ = ["quiet", "server", "stack"]  # fixtures
 
 SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8, 4], "value_hidden_layer_sizes": [6]})

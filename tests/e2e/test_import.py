@@ -11,6 +11,8 @@ from gaitway.client import Client
 from gaitway.schema import JobView
 from tests.e2e.test_pipeline import SMALL, rolled_out
 
+pytestmark = pytest.mark.extra
+
 
 def trained(client: Client, num_timesteps: int, **more: Any) -> JobView:
     """A finished training of updates of 640 steps."""

@@ -10,6 +10,8 @@ from gaitway.errors import Rejected
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
 
+pytestmark = pytest.mark.extra
+
 # A tetrahedron; MuJoCo wants a mesh to have a volume.
 MESH = b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 ASSET = b'<asset><mesh name="hat" file="hat.obj"/></asset><worldbody>'

@@ -31,6 +31,7 @@ def html_of(outputs: list[Any]) -> str:
     return "".join(output["data"].get("text/html", "") for output in outputs if "data" in output)
 
 
+@pytest.mark.extra
 def test_a_job_is_shown_live_until_it_ends(
     stack: Stack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

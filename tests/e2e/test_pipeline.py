@@ -178,6 +178,7 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
     assert job.artifact("path.png") is not None
 
 
+@pytest.mark.extra
 def test_a_job_without_a_video_keeps_all_else(client: Client) -> None:
     # Two updates of the programs that the other jobs have compiled.
     algorithm = {**SMALL["algorithm"], "num_timesteps": 1280}
@@ -209,6 +210,7 @@ print(json.dumps([job.id, job.status, action.tolist(), core.OWN, "brax" in sys.m
 """
 
 
+@pytest.mark.extra
 def test_a_user_of_the_wheel_trains_on_the_service_and_loads_the_policy(
     client: Client, installed: Installed, tmp_path: Path
 ) -> None:
@@ -238,6 +240,7 @@ def test_a_killed_training_process_changes_nothing_in_the_result(
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
 
 
+@pytest.mark.extra
 def test_a_drained_worker_changes_nothing_in_the_result(client: Client, undisturbed: JobView) -> None:
     job = client.submit(SMALL)
     until_checkpoint(client, job)
@@ -264,6 +267,7 @@ def test_killed_stores_change_nothing_in_the_result_and_cost_no_attempt(
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
 
 
+@pytest.mark.extra
 def test_a_running_job_has_what_its_page_pushes_and_watch_opens_the_page(
     client: Client, tmp_path: Path
 ) -> None:

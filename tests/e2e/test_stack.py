@@ -123,6 +123,7 @@ def test_the_stack_serves_has_its_workers_and_ends_with_nothing_left(launch: Lau
     assert stack.family() == []
 
 
+@pytest.mark.extra
 def test_the_stack_serves_with_several_processes_of_the_api(
     launch: Launch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,6 +182,7 @@ def test_a_port_in_use_is_refused_before_anything_starts(launch: Launch) -> None
     assert not stack.data.exists()
 
 
+@pytest.mark.extra
 def test_no_server_takes_the_port_of_the_api(launch: Launch, tmp_path: Path) -> None:
     """Filers answer at /readyz, too: with one at this port, the stack would seem to be up without its API."""
     ports = free_ports(10)
@@ -220,6 +222,7 @@ def test_a_job_survives_a_restart_of_everything(launch: Launch) -> None:
     assert again.json()["status"] == "queued"
 
 
+@pytest.mark.extra
 def test_tables_of_a_newer_version_end_the_start_with_what_to_do(launch: Launch, tmp_path: Path) -> None:
     with Postgres(tmp_path / DATA / "postgres") as server:
         schema.upgrade(connect_postgres(server.url, pool_size=0))

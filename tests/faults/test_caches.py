@@ -64,6 +64,7 @@ def test_a_second_machine_starts_warm(
     assert second["result"] == first["result"]
 
 
+@pytest.mark.extra
 def test_a_machine_may_keep_nothing_and_still_share(tmp_path: Path, job_store: PostgresJobStore) -> None:
     machine = Machine(tmp_path, job_store, cache_max_bytes=0)
     assert machine.run("compiles").status == JobStatus.SUCCEEDED
@@ -71,6 +72,7 @@ def test_a_machine_may_keep_nothing_and_still_share(tmp_path: Path, job_store: P
     assert [info.key.rpartition("/")[2] for info in machine.objects.list(keys.caches())] == ["compiled"]
 
 
+@pytest.mark.extra
 def test_a_machine_may_keep_all_and_share_nothing(tmp_path: Path, job_store: PostgresJobStore) -> None:
     machine = Machine(tmp_path, job_store, shared_cache_max_bytes=0)
     assert machine.run("compiles").status == JobStatus.SUCCEEDED
@@ -78,6 +80,7 @@ def test_a_machine_may_keep_all_and_share_nothing(tmp_path: Path, job_store: Pos
     assert list(machine.objects.list(keys.caches())) == []
 
 
+@pytest.mark.extra
 def test_a_damaged_program_is_compiled_again(tmp_path: Path, job_store: PostgresJobStore) -> None:
     machine = Machine(tmp_path, job_store, shared_cache_max_bytes=0)
     right = machine.compiles()["result"]
@@ -88,6 +91,7 @@ def test_a_damaged_program_is_compiled_again(tmp_path: Path, job_store: Postgres
     assert "Error reading persistent compilation cache entry" in again["warnings"][0]
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("method", ["list", "open", "put_file"])
 def test_a_store_that_fails_leaves_the_job_alone(
     method: str, tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
@@ -111,6 +115,7 @@ def test_a_store_that_fails_leaves_the_job_alone(
     assert ("known" in kept) == (method == "put_file")
 
 
+@pytest.mark.extra
 def test_a_silent_store_delays_a_job_by_its_patience_alone(
     tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -125,6 +130,7 @@ def test_a_silent_store_delays_a_job_by_its_patience_alone(
     silent.set()
 
 
+@pytest.mark.extra
 def test_a_drain_does_not_wait_for_the_store(
     tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,6 +147,7 @@ def test_a_drain_does_not_wait_for_the_store(
     silent.set()
 
 
+@pytest.mark.extra
 def test_what_a_crash_left_is_not_kept(tmp_path: Path, job_store: PostgresJobStore) -> None:
     bench = Bench(tmp_path, job_store)
     bench.run("compiles_and_crashes")

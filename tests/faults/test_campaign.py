@@ -31,6 +31,7 @@ def test_the_seeds_draw_every_kind_of_fault() -> None:
     assert names == {*modes, "SIGKILL", "SIGSTOP", "SIGTERM", "FLUSHALL", "disk", "clock"}
 
 
+@pytest.mark.extra
 @pytest.mark.timeout(180)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_promise_is_broken(runner: Runner, seed: int) -> None:
@@ -48,6 +49,7 @@ def test_the_seed_of_outages_draws_what_must_cost_no_attempt() -> None:
     ]
 
 
+@pytest.mark.extra
 @pytest.mark.timeout(180)
 def test_an_outage_costs_no_attempt_of_jobs_that_train_together() -> None:
     """H4, M1, M9: each job has one attempt, and the answers to all claims are lost at first."""
@@ -56,6 +58,7 @@ def test_an_outage_costs_no_attempt_of_jobs_that_train_together() -> None:
     assert not outcome.broken, (outcome.faults, outcome.broken)
 
 
+@pytest.mark.extra
 def test_a_world_ends_with_its_process(runner: Runner) -> None:
     world = psutil.Process(runner.pid)
     # Three servers, and four that are the service.

@@ -63,7 +63,9 @@ def with_checkpoints(store: PostgresJobStore, objects: S3ObjectStore, bodies: di
     return claim
 
 
-@pytest.mark.parametrize("size", [100, 3 * MIB, 9 * MIB])
+@pytest.mark.parametrize(
+    "size", [100, *(pytest.param(size, marks=pytest.mark.extra) for size in (3 * MIB, 9 * MIB))]
+)
 def test_a_flipped_byte_in_the_volume_is_damage_within_seconds(
     weed: Weed, object_store: S3ObjectStore, size: int
 ) -> None:
@@ -129,6 +131,7 @@ def dripping(weed: Weed, monkeypatch: pytest.MonkeyPatch) -> Iterator[S3ObjectSt
         yield S3ObjectStore(client, weed.bucket)
 
 
+@pytest.mark.extra
 def test_an_object_that_is_served_slowly_for_ever_is_damaged(
     dripping: S3ObjectStore, object_store: S3ObjectStore
 ) -> None:
@@ -174,11 +177,15 @@ def take_away(weed: Weed, objects: S3ObjectStore, key: str, body: bytes, how: st
             assert how == "slow"
 
 
-WAYS = ["flipped", "lost", "shorter", "other bytes", "slow"]
+MORE_WAYS = [pytest.param(how, marks=pytest.mark.extra) for how in ("flipped", "shorter", "slow")]
+WAYS = ["lost", "other bytes", *MORE_WAYS]
+MORE_SOURCES = ("another's, to resume", "another's, to act")
 
 
 @pytest.mark.parametrize("how", WAYS)
-@pytest.mark.parametrize("of", ["its own", "another's, to resume", "another's, to act"])
+@pytest.mark.parametrize(
+    "of", ["its own", *(pytest.param(of, marks=pytest.mark.extra) for of in MORE_SOURCES)]
+)
 def test_an_attempt_begins_with_the_checkpoint_before_in_seconds(
     weed: Weed,
     job_store: PostgresJobStore,
@@ -258,7 +265,7 @@ def with_file(store: PostgresJobStore, objects: S3ObjectStore, body: bytes) -> J
     return store.get(job.id)
 
 
-@pytest.mark.parametrize("size", [50_000, 9 * MIB])
+@pytest.mark.parametrize("size", [50_000, pytest.param(9 * MIB, marks=pytest.mark.extra)])
 def test_a_damaged_file_is_a_problem_of_its_own(
     weed: Weed, job_store: PostgresJobStore, object_store: S3ObjectStore, api: httpx.Client, size: int
 ) -> None:
@@ -306,6 +313,7 @@ def test_a_checkpoint_or_a_policy_that_is_gone_is_a_problem_of_its_own(
     assert (answer.status_code, answer.json()["type"]) == (404, "/problems/object-not-found")
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("size", [50_000, 9 * MIB])
 def test_a_file_that_is_served_slowly_for_ever_is_refused_in_seconds(
     job_store: PostgresJobStore, object_store: S3ObjectStore, dripping: S3ObjectStore, size: int
@@ -335,6 +343,7 @@ def test_a_feed_with_a_lost_chunk_shows_the_rest_and_says_what_is_missing(
     assert api.get(f"/jobs/{job.id}/metrics?points=10").json()["rows"] == []
 
 
+@pytest.mark.extra
 def test_a_feed_with_a_damaged_chunk_shows_the_rest_within_seconds(
     weed: Weed, job_store: PostgresJobStore, object_store: S3ObjectStore, api: httpx.Client
 ) -> None:
@@ -349,6 +358,7 @@ def test_a_feed_with_a_damaged_chunk_shows_the_rest_within_seconds(
     assert "status" in api.get(f"/jobs/{job.id}/events?follow=false").text
 
 
+@pytest.mark.extra
 def test_a_feed_whose_chunk_is_served_slowly_for_ever_shows_the_rest_within_seconds(
     job_store: PostgresJobStore, object_store: S3ObjectStore, dripping: S3ObjectStore
 ) -> None:

@@ -22,6 +22,8 @@ from tests.faults.bench import wait_until
 from tests.faults.outages import submitted
 from tests.unit.worker.environments import environment
 
+pytestmark = pytest.mark.extra
+
 
 @contextmanager
 def working(settings: WorkerSettings, name: str, behaviour: str, *lacking: str) -> Generator[None]:

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 
+import pytest
+
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.store import PostgresJobStore
@@ -21,6 +23,8 @@ from tests.contract.recording import Database, watch
 from tests.faults.bench import wait_until
 from tests.faults.outages import submitted
 from tests.unit.worker.environments import environment
+
+pytestmark = pytest.mark.extra
 
 
 @contextmanager

@@ -36,6 +36,8 @@ from tests.faults.bench import unused_servers, wait_until
 from tests.faults.outages import Outages, Watch, pooled, submitted
 from worker.supervision.heartbeat import Heartbeat
 
+pytestmark = pytest.mark.extra
+
 # About that of a worker: nothing waits for its end, and no busy machine keeps a heart from beating so long.
 LONG = timedelta(seconds=15)
 # Of what happens in real time.

@@ -138,6 +138,7 @@ def test_every_job_that_was_accepted_is_dispatched_again_and_ends_once(service: 
     assert (service.look(), service.queue.known()) == (0, set())
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("seed", range(3))
 def test_jobs_end_once_each_however_often_redis_forgets_while_they_come_and_go(
     seed: int, service: Service
@@ -199,6 +200,7 @@ def test_a_restart_of_redis_loses_no_job(job_store: PostgresJobStore, own_valkey
         assert ended_once(service, jobs) == jobs
 
 
+@pytest.mark.extra
 def test_workers_at_an_old_redis_and_at_an_empty_new_one_do_no_job_twice(
     service: Service, own_valkey: Valkey
 ) -> None:
@@ -251,6 +253,7 @@ def test_a_job_whose_worker_died_while_redis_was_away_is_dispatched_when_it_is_b
     assert away.queue.known() == {(job.id, 2)}
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("is_away", [False, True])
 def test_a_worker_ends_its_job_without_redis_and_takes_the_next_one_afterwards(
     is_away: bool, job_store: PostgresJobStore, settings: WorkerSettings, own_valkey: Valkey
@@ -285,6 +288,7 @@ def test_a_worker_ends_its_job_without_redis_and_takes_the_next_one_afterwards(
     assert [attempt.reason for attempt in given_back.attempts] == [Reason.WORKER_DRAINED]
 
 
+@pytest.mark.extra
 def test_a_worker_waits_for_a_full_redis_before_after_and_during_a_job(
     job_store: PostgresJobStore, settings: WorkerSettings, own_valkey: Valkey
 ) -> None:
@@ -323,6 +327,7 @@ def test_a_worker_waits_for_a_full_redis_before_after_and_during_a_job(
     assert [attempt.reason for attempt in given_back.attempts] == [Reason.WORKER_DRAINED]
 
 
+@pytest.mark.extra
 def test_a_message_whose_work_horse_a_full_redis_ended_is_taken_again_at_once(
     job_store: PostgresJobStore, settings: WorkerSettings, own_valkey: Valkey
 ) -> None:

@@ -14,6 +14,8 @@ from tests.compiling import compiling_quickly
 from tests.faults.bench import SPEC, Bench
 from worker.supervision.supervisor import Supervisor
 
+pytestmark = pytest.mark.extra
+
 _PRETENDED = (sys.executable, "-m", "tests.faults.pretended_gpus")
 # 16 × 4 unrolls of 10 steps are 640 in an update: two updates.
 _SMALL: dict[str, Any] = {

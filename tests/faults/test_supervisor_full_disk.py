@@ -57,6 +57,7 @@ def says_what_to_do(message: str | None, folder: Path) -> bool:
     return message is not None and f"GAITWAY_DATA_DIR={folder}" in message and "free space" in message
 
 
+@pytest.mark.extra
 @pytest.mark.usefixtures("compiled_quickly")
 def test_a_checkpoint_that_does_not_fit_ends_the_job_with_the_setting_and_the_remedy(
     make_disk: MakeDisk, job_store: PostgresJobStore, capfd: pytest.CaptureFixture[str]
@@ -75,6 +76,7 @@ def test_a_checkpoint_that_does_not_fit_ends_the_job_with_the_setting_and_the_re
     assert says_what_to_do(capfd.readouterr().out, disk)
 
 
+@pytest.mark.extra
 def test_a_task_that_does_not_fit_is_given_back_until_its_attempts_are_used_up(
     make_disk: MakeDisk, job_store: PostgresJobStore
 ) -> None:
@@ -105,6 +107,7 @@ def test_a_job_goes_on_once_there_is_room_again(make_disk: MakeDisk, job_store: 
     assert bench.store.get(job.id).status == JobStatus.SUCCEEDED
 
 
+@pytest.mark.extra
 def test_a_video_that_does_not_fit_is_no_reason_to_fail_and_says_why(
     make_disk: MakeDisk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,6 +157,7 @@ def test_a_folder_that_cannot_be_written_to_is_a_wrong_setting(tmp_path: Path) -
         check_folder(tmp_path / "file" / "data")
 
 
+@pytest.mark.extra
 def test_results_that_no_store_takes_end_the_attempt_for_that_reason(
     tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -168,6 +172,7 @@ def test_results_that_no_store_takes_end_the_attempt_for_that_reason(
     assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.STORAGE_UNAVAILABLE)
 
 
+@pytest.mark.extra
 def test_what_ends_the_storing_does_not_pass_for_success(
     tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:

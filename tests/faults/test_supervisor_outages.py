@@ -26,6 +26,7 @@ from worker.supervision.left_attempts import record_left
 LEASE = timedelta(seconds=2)
 # Of PostgreSQL, and of the object store.
 OF_RECORDS, OF_OBJECTS = ("silence", "absence"), ("silent objects", "absent objects")
+MORE = [pytest.param(name, marks=pytest.mark.extra) for name in ("absence", "silent objects")]
 
 
 class Disturbed(Bench):
@@ -105,7 +106,7 @@ def bench(tmp_path: Path, postgres: Outages, monkeypatch: pytest.MonkeyPatch) ->
     bench.close()
 
 
-@pytest.mark.parametrize("name", [*OF_RECORDS, *OF_OBJECTS])
+@pytest.mark.parametrize("name", ["silence", "absent objects", *MORE])
 def test_training_goes_on_and_its_results_are_stored_afterwards(name: str, bench: Disturbed) -> None:
     job = bench.submit(max_attempts=1)
     with bench.watched(), bench.working(job, "is_filmed"), bench.outage(name):
@@ -125,6 +126,7 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supervisor_module, "_LAST_S", 0.5)
 
 
+@pytest.mark.extra
 @pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("name", OF_OBJECTS)
 @pytest.mark.parametrize("behaviour", ["waits", "is_filmed"])
@@ -153,7 +155,7 @@ def test_a_drain_without_the_object_store_gives_the_job_back_within_the_grace_ti
 
 
 @pytest.mark.usefixtures("hurried")
-@pytest.mark.parametrize("name", OF_RECORDS)
+@pytest.mark.parametrize("name", ["silence", MORE[0]])
 def test_a_drain_without_postgresql_is_told_by_the_next_worker_and_costs_no_attempt(
     name: str, bench: Disturbed
 ) -> None:
@@ -166,6 +168,7 @@ def test_a_drain_without_postgresql_is_told_by_the_next_worker_and_costs_no_atte
     assert list((bench.settings.data_dir / "left").iterdir()) == []
 
 
+@pytest.mark.extra
 @pytest.mark.usefixtures("hurried")
 def test_a_drain_without_postgresql_that_nobody_tells_leaves_the_job_to_the_end_of_its_lease(
     bench: Disturbed,

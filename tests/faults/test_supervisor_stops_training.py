@@ -84,6 +84,7 @@ def test_a_drain_in_the_middle_of_training_hands_over_a_checkpoint_and_nothing_e
     assert (status, took_s < SOON_S) == (-DRAIN_SIGNAL, True)
 
 
+@pytest.mark.extra
 def test_a_drain_before_the_first_update_ends_the_process_at_once(training: Training) -> None:
     training.until("started")  # From here on it compiles.
     files, status, took_s = training.leave()
@@ -91,6 +92,7 @@ def test_a_drain_before_the_first_update_ends_the_process_at_once(training: Trai
     assert took_s < 1
 
 
+@pytest.mark.extra
 def test_a_drain_ends_a_video_that_is_being_made(tmp_path: Path, data_dir: Path) -> None:
     training = Training(tmp_path, data_dir, checkpoints={"every_steps": 640})
     try:
@@ -117,6 +119,7 @@ def when_it_draws(pid: int) -> list[psutil.Process]:
     pytest.fail("it draws nothing")
 
 
+@pytest.mark.extra
 def test_the_process_stands_in_its_spool_and_finds_its_modules_there(training: Training) -> None:
     training.until("hello")
     assert psutil.Process(training.process.pid).cwd().endswith("/spool")

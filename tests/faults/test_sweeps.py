@@ -170,6 +170,7 @@ def test_every_trial_runs_once_whichever_write_fails(real: Process) -> None:
         assert [trial.values for trial in trials] == [(1.0,), (3.0,)]
 
 
+@pytest.mark.extra
 def test_a_population_trains_every_member_once_whichever_write_fails(real: Process) -> None:
     live(real, counted := Crash(), POPULATION, train_member)
     settings = set[str]()
@@ -188,6 +189,7 @@ def test_a_population_trains_every_member_once_whichever_write_fails(real: Proce
     assert len(settings) == 1
 
 
+@pytest.mark.extra
 def test_reconcilers_side_by_side_start_every_trial_once(real: Process) -> None:
     spec = spec_of(parameters={"seed": list(range(12))}, budget={"parallel": 4})
     sweep = submit_sweep(spec, store=real.store)
@@ -215,6 +217,7 @@ def test_reconcilers_side_by_side_start_every_trial_once(real: Process) -> None:
     assert most <= 4
 
 
+@pytest.mark.extra
 def test_what_runs_is_pruned_and_keeps_its_values(real: Process) -> None:
     """The worker that has the job sees the cancel, as after a user's."""
     spec = spec_of(
@@ -250,6 +253,7 @@ def claimed(real: Process) -> Any:
     return claim, dispatch.job_id
 
 
+@pytest.mark.extra
 def test_a_cancelled_sweep_ends_with_all_its_jobs_whichever_write_fails(real: Process) -> None:
     def cancelled(crash: Crash) -> str:
         sweep = submit_sweep(SPEC, store=real.store)
@@ -286,6 +290,7 @@ def test_a_bug_in_one_sweep_stops_no_other(real: Process, monkeypatch: pytest.Mo
     assert list(real.store.trials([bad.id, good.id])) == [good.id]
 
 
+@pytest.mark.extra
 def test_a_sweep_for_which_nothing_has_changed_is_not_read_again(
     job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -316,6 +321,7 @@ def test_a_sweep_for_which_nothing_has_changed_is_not_read_again(
     assert read == [[sweep.id]] * 2
 
 
+@pytest.mark.extra
 def test_the_curves_of_an_ended_sweep_are_forgotten(job_store: PostgresJobStore) -> None:
     """M11: the reconciler grew by the trials of every pruned sweep."""
     spec = spec_of(parameters={"seed": [1, 3]}, pruning={"kind": "median", "warmup_steps": 10})
@@ -331,6 +337,7 @@ def test_the_curves_of_an_ended_sweep_are_forgotten(job_store: PostgresJobStore)
     assert (controller._curves, controller._settled) == ({}, {})
 
 
+@pytest.mark.extra
 def test_no_more_sweeps_run_than_the_reconciler_looks_at(
     job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -29,6 +29,8 @@ from tests.faults.wandb_server import WandbServer, wandb_server
 from worker.supervision import tracking
 from worker.tracking import live
 
+pytestmark = pytest.mark.extra
+
 KEY = "0123456789abcdef0123456789abcdef01234567"
 ONLINE = {"wandb": {"project": "vnl"}}
 OFFLINE = {"wandb": {"project": "vnl", "mode": "offline"}}

@@ -27,6 +27,8 @@ from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
 from tests.learning.sac_runs import sac_run
 
+pytestmark = pytest.mark.extra
+
 STILL = ActionList(kind="actions", actions=[[0.0] * 8])
 
 

@@ -10,6 +10,8 @@ import pytest
 
 from tests.compiling import compiling_quickly
 
+pytestmark = pytest.mark.extra
+
 
 @pytest.mark.parametrize(
     ("environment", "engine"),

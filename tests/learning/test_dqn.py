@@ -42,6 +42,7 @@ def trained(environment: Any, **changes: Any) -> tuple[Run[Any], dict[str, float
     return run, last_evaluation(run.events())
 
 
+@pytest.mark.extra
 def test_a_known_optimum_is_found_as_by_the_table() -> None:
     # In room 1 the end brings 2, in room 0 the way there 0.5 · 2 = 1; staying is worth 0.4 + 0.5 · 1, going
     # back 0.5 · 1.
@@ -60,6 +61,7 @@ def test_the_choice_looks_at_the_observation() -> None:
     np.testing.assert_allclose(found, [[0.0, -0.25, -1.0], [-1.0, -0.25, 0.0]], atol=0.05)
 
 
+@pytest.mark.extra
 def test_a_cut_off_episode_does_not_count_as_an_end() -> None:
     # Every reward is 1 and nothing terminates: Q = 1 + 0.5 Q = 2.
     run, evaluation = trained(probes.unending_reward(), episode_length=4)
@@ -104,6 +106,7 @@ ARMS = {
 }
 
 
+@pytest.mark.extra
 def test_arms_choose_for_themselves_by_one_network(tmp_path: Path) -> None:
     star = SeeingStar(speed=0.5)
     run, evaluation = trained(star, **ARMS, num_timesteps=150 * 5 * STEPS_PER_UPDATE)
@@ -127,6 +130,7 @@ def test_arms_choose_for_themselves_by_one_network(tmp_path: Path) -> None:
         policy.acting(SeeingStar(observation_size=7))
 
 
+@pytest.mark.extra
 def test_the_trained_policy_acts_alike_from_each_of_its_files_and_with_noise(tmp_path: Path) -> None:
     probe = probes.observed_action_reward()
     run = dqn_run(probe, normalize_observations=True, epsilon={"start": 1.0, "end": 1.0})
@@ -146,6 +150,7 @@ def test_the_trained_policy_acts_alike_from_each_of_its_files_and_with_noise(tmp
         assert [int(asked(jnp.array([sign]))[0]) for sign in (-1.0, 1.0)] == [0, 2]
 
 
+@pytest.mark.extra
 def test_a_checkpoint_holds_the_replay() -> None:
     # 2048 transitions of five numbers: an observation, a choice, a reward, and how the step ended.
     budget = {"num_timesteps": 2 * STEPS_PER_UPDATE, "num_evals": 0}
@@ -155,6 +160,7 @@ def test_a_checkpoint_holds_the_replay() -> None:
     assert sum(array.nbytes for array in kept["rows"].values()) == 4 * 2048 * 5
 
 
+@pytest.mark.extra
 def test_a_checkpoint_of_other_choices_is_refused() -> None:
     budget = {"num_timesteps": 2 * STEPS_PER_UPDATE, "num_evals": 0}
     [content] = checkpoints(dqn_run(probes.endless(), **budget)).values()

@@ -18,6 +18,8 @@ from tests import probes
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, last_evaluation, small_run, small_settings
 from tests.probes import Probe
 
+pytestmark = pytest.mark.extra
+
 
 def value(run: Run[Any], observation: object, observation_size: object = 1, **changes: object) -> float:
     """What the trained value network says of an observation."""

@@ -55,6 +55,7 @@ def test_a_known_optimum_is_found(options: dict[str, Any]) -> None:
     assert found.visits.min() > 0
 
 
+@pytest.mark.extra
 def test_agents_side_by_side_learn_what_each_learns_alone_and_the_best_is_the_policy() -> None:
     # The second learns nothing: with a table of equal cells it stays in room 0 for 6 · 0.4 = 2.4; the first
     # learns that 1 and then 2 are worth more than 0.4 a time under γ = 0.5, and gets 2.
@@ -75,6 +76,7 @@ def test_agents_side_by_side_learn_what_each_learns_alone_and_the_best_is_the_po
     np.testing.assert_array_equal(tables[0], alone.table)
 
 
+@pytest.mark.extra
 def test_a_policy_with_noise_chooses_at_random_as_often_as_its_own_agent_did() -> None:
     agents = [{"epsilon_end": 0.25}, {"epsilon_end": 0.5}, {}]
     settings = q_settings(
@@ -87,6 +89,7 @@ def test_a_policy_with_noise_chooses_at_random_as_often_as_its_own_agent_did() -
         assert learnt_table.facts["epsilon"] == 0.25
 
 
+@pytest.mark.extra
 def test_a_star_learns_to_be_led_by_the_arm_towards_its_target() -> None:
     run = q_run(PlanarStar(), q_settings(STAR, num_episodes=300, discounting=0.5))
     evaluated = last_evaluation(run.events())
@@ -103,6 +106,7 @@ def test_an_identity_table_steers_without_any_learning() -> None:
     np.testing.assert_array_equal(read_policy(run.policy()).table, np.eye(5))
 
 
+@pytest.mark.extra
 def test_arms_that_read_and_choose_for_themselves_bring_the_star_to_its_target() -> None:
     options = {
         "state_discretizer": {"kind": "arm_role"},
@@ -118,6 +122,7 @@ def test_arms_that_read_and_choose_for_themselves_bring_the_star_to_its_target()
     np.testing.assert_array_equal(read_policy(run.policy()).table.argmax(axis=1), [1, 1, 0, 0, 1])
 
 
+@pytest.mark.extra
 def test_a_learnt_table_acts_step_by_step_and_holds_each_action_for_a_decision(tmp_path: Path) -> None:
     star, settings = (
         PlanarStar(),
@@ -197,6 +202,7 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
     assert {"eval/episode_reward", "eval/avg_episode_length", "eval/walltime"} <= evaluation.keys()
 
 
+@pytest.mark.extra
 def test_contacts_that_the_engine_lost_are_told_as_the_share_of_decisions_that_lost_some() -> None:
     # All stay in room 0. The second of an episode's 8 steps is in the first of its 4 decisions.
     settings = q_settings(
@@ -232,6 +238,7 @@ def test_a_checkpoint_of_another_table_is_refused_with_both_shapes() -> None:
     assert failure.value.reason == "bad_checkpoint"
 
 
+@pytest.mark.extra
 def test_l1_evaluations_are_drawn_apart_from_rounds() -> None:
     """As the audit's keys.py compares them: the evaluations' key was the first round's."""
     environment: Any = SimpleNamespace(table=SimpleNamespace(shape=(3, 2)))

@@ -23,6 +23,8 @@ from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
 from tests.learning.sac_runs import sac_run
 
+pytestmark = pytest.mark.extra
+
 FALL = Randomization(field="opt.gravity", axis=2, range=(-12.0, -8.0), operation="set")
 BUDGET = {"num_timesteps": 4 * STEPS_PER_UPDATE, "num_evals": 0}
 

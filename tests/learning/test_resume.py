@@ -75,26 +75,15 @@ REPLAYED: dict[str, Any] = {
 @pytest.mark.parametrize(
     ("begin", "update"),
     [
-        ppo(probe),
-        ppo(partial(ant, "native")),
-        ppo(partial(ant, "compiled")),
-        q_learning(**REPLAYED),
-        sac(probe),
-        sac(probe, reset_pool_size=0),
-        sac(partial(ant, "native")),
-        dqn(probe),
-        dqn(probe, reset_pool_size=0),
-    ],
-    ids=[
-        "ppo-probe",
-        "ppo-ant-native",
-        "ppo-ant-compiled",
-        "q_learning-replay-agents",
-        "sac-probe",
-        "sac-first-states",
-        "sac-ant-native",
-        "dqn-probe",
-        "dqn-first-states",
+        pytest.param(*ppo(partial(ant, "native")), id="ppo-ant-native"),
+        pytest.param(*q_learning(**REPLAYED), id="q_learning-replay-agents"),
+        pytest.param(*sac(probe), id="sac-probe"),
+        pytest.param(*dqn(probe), id="dqn-probe"),
+        pytest.param(*ppo(probe), id="ppo-probe", marks=pytest.mark.extra),
+        pytest.param(*ppo(partial(ant, "compiled")), id="ppo-ant-compiled", marks=pytest.mark.extra),
+        pytest.param(*sac(probe, reset_pool_size=0), id="sac-first-states", marks=pytest.mark.extra),
+        pytest.param(*sac(partial(ant, "native")), id="sac-ant-native", marks=pytest.mark.extra),
+        pytest.param(*dqn(probe, reset_pool_size=0), id="dqn-first-states", marks=pytest.mark.extra),
     ],
 )
 def test_a_resumed_run_equals_an_uninterrupted_one(begin: Begin, update: int) -> None:
@@ -106,6 +95,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(begin: Begin, update: int) ->
     assert checkpoints(resumed) == {6 * update: straight[6 * update]}
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("reset_pool_size", [0, 3])
 def test_fresh_starts_are_the_same_ones_however_a_run_is_cut(reset_pool_size: int) -> None:
     # Episodes of three actions end five times in an update of 16: every one begins at a random sign.
@@ -123,6 +113,7 @@ def test_fresh_starts_are_the_same_ones_however_a_run_is_cut(reset_pool_size: in
     assert checkpoints(resumed) == straight
 
 
+@pytest.mark.extra
 def test_a_checkpoint_holds_first_states_only_where_a_run_goes_back_to_them() -> None:
     budget = {"num_timesteps": STEPS_PER_UPDATE, "num_evals": 0}
     drawn = checkpoints(small_run(probe(), **budget))[STEPS_PER_UPDATE]
@@ -133,6 +124,7 @@ def test_a_checkpoint_holds_first_states_only_where_a_run_goes_back_to_them() ->
         small_run(probe(), resume=kept, **budget)
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize(
     ("begin", "update"),
     [ppo(probe), q_learning(**REPLAYED), sac(probe), dqn(probe)],
@@ -147,6 +139,7 @@ def test_a_run_that_was_stopped_anywhere_goes_on_as_if_it_had_not(begin: Begin, 
     assert checkpoints(begin(seed=1)) != straight
 
 
+@pytest.mark.extra
 def test_the_partition_into_epochs_changes_nothing() -> None:
     budget = {"num_timesteps": 5 * STEPS_PER_UPDATE, "num_evals": 0}
     one_by_one = checkpoints(small_run(probe(), epoch_s=0.0, **budget))
@@ -154,12 +147,14 @@ def test_the_partition_into_epochs_changes_nothing() -> None:
     assert one_by_one == all_at_once
 
 
+@pytest.mark.extra
 def test_a_finished_run_resumes_to_its_end_at_once() -> None:
     finished = checkpoints(small_run(probe(), num_timesteps=STEPS_PER_UPDATE))
     resumed = small_run(probe(), resume=finished[STEPS_PER_UPDATE], num_timesteps=STEPS_PER_UPDATE)
     assert checkpoints(resumed) == finished
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize(
     ("begin", "update"), [(small_run, STEPS_PER_UPDATE), (sac_run, SAC_STEPS_PER_UPDATE)], ids=["ppo", "sac"]
 )

@@ -142,6 +142,7 @@ def test_a_body_that_is_lost_ends_its_episode_and_not_the_run() -> None:
     assert all(math.isfinite(value) for metrics in told for value in metrics.values())
 
 
+@pytest.mark.extra
 def test_a_run_that_loses_every_body_has_diverged(case: Case) -> None:
     step = 5 * case.num_envs
     run = case.begin(probes.losing(share=1.0, after=5), episode_length=1000, epoch_s=1000.0)
@@ -150,6 +151,7 @@ def test_a_run_that_loses_every_body_has_diverged(case: Case) -> None:
     assert run.step == step // case.update * case.update
 
 
+@pytest.mark.extra
 def test_a_loss_that_overflows_is_told_from_a_reward_that_does() -> None:
     # 1e38 is a float32, and 1e6 times it is none: the rewards are finite and the loss is not.
     run = small_run(probes.unending_reward(1e38), reward_scaling=1e6)
@@ -159,6 +161,7 @@ def test_a_loss_that_overflows_is_told_from_a_reward_that_does() -> None:
     assert run.step == 0
 
 
+@pytest.mark.extra
 def test_a_second_evaluation_has_other_starts_and_changes_nothing(case: Case) -> None:
     """The probe's reward is what an episode's start drew."""
     budget = {"num_timesteps": 4 * case.update, "num_evals": 1}

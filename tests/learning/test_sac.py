@@ -35,18 +35,21 @@ def trained(environment: Any, **changes: Any) -> tuple[Run[Any], dict[str, float
     return run, last_evaluation(run.events())
 
 
+@pytest.mark.extra
 def test_the_value_of_a_constant_reward_is_learnt() -> None:
     run, evaluation = trained(probes.constant_reward())
     assert evaluation["eval/episode_reward"] == 1.0
     assert value(run, 0.0) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.extra
 def test_the_value_looks_at_the_observation() -> None:
     run, _ = trained(probes.observed_reward())
     assert value(run, 1.0) == pytest.approx(1.0, abs=0.05)
     assert value(run, -1.0) == pytest.approx(-1.0, abs=0.05)
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("n_step", [1, 3])
 def test_a_reward_one_step_ahead_is_discounted_once(n_step: int) -> None:
     # 1 comes with the second of two steps: Q(0) = 0.5 · 1, Q(1) = 1.
@@ -56,6 +59,7 @@ def test_a_reward_one_step_ahead_is_discounted_once(n_step: int) -> None:
     assert value(run, 1.0) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.extra
 def test_the_policy_finds_the_better_action() -> None:
     # The reward is minus the squared distance from 0.5; doing nothing gives -0.25.
     assert trained(probes.action_reward())[1]["eval/episode_reward"] > -0.01
@@ -66,6 +70,7 @@ def test_the_policy_looks_at_the_observation() -> None:
     assert trained(probes.observed_action_reward())[1]["eval/episode_reward"] > -0.02
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("n_step", [1, 3])
 def test_a_cut_off_episode_does_not_count_as_an_end(n_step: int) -> None:
     # Every reward is 1 and nothing terminates: Q = 1 + 0.5 Q = 2. Were the cut after four steps an end,
@@ -75,6 +80,7 @@ def test_a_cut_off_episode_does_not_count_as_an_end(n_step: int) -> None:
     assert value(run, 0.0) == pytest.approx(2.0, abs=0.05)
 
 
+@pytest.mark.extra
 def test_the_trained_policy_is_rolled_out_and_acts_alike_from_each_of_its_files(tmp_path: Path) -> None:
     probe = probes.observed_action_reward()
     run = sac_run(probe, normalize_observations=True)
@@ -94,6 +100,7 @@ def test_the_trained_policy_is_rolled_out_and_acts_alike_from_each_of_its_files(
         np.testing.assert_allclose(asked(start.obs), expected, rtol=1e-6)
 
 
+@pytest.mark.extra
 def test_a_checkpoint_holds_the_replay() -> None:
     # 2048 transitions of five numbers: an observation, an action, a reward, and how the step ended.
     budget = {"num_timesteps": 2 * STEPS_PER_UPDATE, "num_evals": 0}

@@ -82,6 +82,7 @@ def ant(engine: Any) -> Environment:
     return catalog.make(info, info.options(), engine_builder(engine))
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize(
     ("case", "environment"),
     [
@@ -126,6 +127,7 @@ def evaluations(events: Sequence[Event]) -> list[Evaluated]:
     return [one for one in events if isinstance(one, Evaluated)]
 
 
+@pytest.mark.extra
 def test_a_metric_is_the_mean_over_the_seeds() -> None:
     for event in seeds_run(PPO, probes.observed_action_reward()).events():
         if isinstance(event, Evaluated):
@@ -136,8 +138,11 @@ def test_a_metric_is_the_mean_over_the_seeds() -> None:
 
 @pytest.mark.parametrize(
     ("case", "environment"),
-    [(PPO, lambda: ant("compiled")), (SAC, probes.observed_action_reward), (DQN, probes.endless)],
-    ids=["ppo", "sac", "dqn"],
+    [
+        pytest.param(PPO, lambda: ant("compiled"), id="ppo"),
+        pytest.param(SAC, probes.observed_action_reward, id="sac", marks=pytest.mark.extra),
+        pytest.param(DQN, probes.endless, id="dqn", marks=pytest.mark.extra),
+    ],
 )
 def test_a_resumed_run_ends_in_the_bytes_of_an_uninterrupted_one(
     case: Case, environment: Callable[[], Environment]
@@ -155,6 +160,7 @@ def test_a_resumed_run_ends_in_the_bytes_of_an_uninterrupted_one(
     assert [resumed.policy(seed) for seed in SEEDS] == [whole.policy(seed) for seed in SEEDS]
 
 
+@pytest.mark.extra
 def test_a_seeds_policy_is_the_one_in_its_part_of_the_checkpoint() -> None:
     run = seeds_run(PPO, probes.observed_action_reward())
     list(run.events())
@@ -223,6 +229,7 @@ def ended() -> Ended:
     return Ended(run, events, checkpoints)
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("seed", [0, 7])
 def test_a_seed_that_diverges_ends_as_its_own_run_and_costs_the_others_nothing(
     ended: Ended, seed: int
@@ -243,6 +250,7 @@ def test_a_seed_that_diverges_ends_as_its_own_run_and_costs_the_others_nothing(
         np.testing.assert_allclose(one, other, rtol=1e-2, atol=2e-2)
 
 
+@pytest.mark.extra
 def test_the_metrics_of_a_seed_that_has_diverged_end(ended: Ended) -> None:
     assert [event.seed for event in ended.events if isinstance(event, SeedDiverged)] == [7, 4]
     assert ended.events[-1] == CheckpointReady(ended.run.total)
@@ -257,6 +265,7 @@ def test_the_metrics_of_a_seed_that_has_diverged_end(ended: Ended) -> None:
             assert all(np.isfinite(value) for value in event.metrics.values())
 
 
+@pytest.mark.extra
 def test_a_seed_that_has_diverged_stays_so_when_the_run_resumes(ended: Ended) -> None:
     step = 2 * PPO.update
     assert ended.told[7].step < step < ended.told[4].step
@@ -266,6 +275,7 @@ def test_a_seed_that_has_diverged_stays_so_when_the_run_resumes(ended: Ended) ->
     assert resumed.checkpoint() == ended.run.checkpoint()
 
 
+@pytest.mark.extra
 def test_a_run_whose_seeds_all_diverge_has_diverged() -> None:
     run = seeds_run(PPO, unlucky(above=0.0), num_evals=0)
     events = list[Event]()

@@ -70,7 +70,9 @@ CHANGES_OF = {
 }
 
 
-@pytest.mark.parametrize("algorithm", CHANGES_OF)
+@pytest.mark.parametrize(
+    "algorithm", ["ppo", *(pytest.param(other, marks=pytest.mark.extra) for other in ("sac", "dqn"))]
+)
 def test_a_second_process_compiles_no_program_with_native_physics_whatever_numbers_changed(
     algorithm: str, tmp_path: Path
 ) -> None:

@@ -43,6 +43,7 @@ def test_a_new_metric_is_on_the_page_within_half_a_second(stack: Stack, tab: Tab
     expect(page.get_by_role("img", name="last 7 at 300, least 1, greatest 7")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_every_metric_has_a_curve_over_steps_or_time_smoothed_and_on_a_log_axis(
     stack: Stack, tab: Tab, attempt: Attempt
 ) -> None:
@@ -63,6 +64,7 @@ def test_every_metric_has_a_curve_over_steps_or_time_smoothed_and_on_a_log_axis(
     expect(page.get_by_label("Log axis")).to_be_checked()
 
 
+@pytest.mark.extra
 def test_curves_come_in_sections_and_what_is_pinned_comes_first(
     stack: Stack, make_tab: MakeTab, attempt: Attempt
 ) -> None:
@@ -95,6 +97,7 @@ def test_curves_come_in_sections_and_what_is_pinned_comes_first(
     expect(shown).to_have_text(["eval/walltime"])
 
 
+@pytest.mark.extra
 def test_ticks_have_the_digits_that_they_need(tab: Tab) -> None:
     """9.3: "1.5M 1.8M 2M 2.3M" stood at equal distances."""
     page = tab.open()
@@ -129,6 +132,7 @@ def test_ticks_have_the_digits_that_they_need(tab: Tab) -> None:
     ]
 
 
+@pytest.mark.extra
 def test_the_tabs_title_says_how_the_job_goes(stack: Stack, tab: Tab, attempt: Attempt) -> None:
     """9.7: it never changed."""
     page = tab.open(f"#/jobs/{attempt.id}/log")
@@ -142,6 +146,7 @@ def test_the_tabs_title_says_how_the_job_goes(stack: Stack, tab: Tab, attempt: A
     expect(page).to_have_title("Models · Gaitway")
 
 
+@pytest.mark.extra
 def test_a_queued_job_says_why_it_waits(stack: Stack, tab: Tab, attempt: Attempt) -> None:
     busy = WorkerInfo(
         name="worker-1",
@@ -166,6 +171,7 @@ def test_a_queued_job_says_why_it_waits(stack: Stack, tab: Tab, attempt: Attempt
     expect(page.get_by_role("heading", name="Queue")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_on_a_phone_the_replay_begins_in_the_upper_third(
     stack: Stack, make_tab: MakeTab, attempt: Attempt
 ) -> None:
@@ -180,6 +186,7 @@ def test_on_a_phone_the_replay_begins_in_the_upper_third(
     expect(page.get_by_role("link", name="Specification")).to_be_in_viewport(ratio=0.9)
 
 
+@pytest.mark.extra
 def test_a_part_of_the_curve_is_drawn_by_dragging(stack: Stack, tab: Tab, attempt: Attempt) -> None:
     for step in range(0, 1000, 100):
         measure(stack, attempt, step, eval__episode_reward=float(step))
@@ -206,6 +213,7 @@ def test_the_log_follows_and_markup_in_it_is_text(tab: Tab, attempt: Attempt) ->
     expect(page.get_by_role("log")).to_contain_text("a second line")
 
 
+@pytest.mark.extra
 def test_videos_have_a_slider_through_training_and_a_fork_at_each_checkpoint(
     tab: Tab, attempt: Attempt
 ) -> None:
@@ -225,6 +233,7 @@ def test_videos_have_a_slider_through_training_and_a_fork_at_each_checkpoint(
     expect(said).to_contain_text('"step": 100')
 
 
+@pytest.mark.extra
 def test_a_fork_of_the_last_checkpoint_has_steps_left_to_train(tab: Tab, attempt: Attempt) -> None:
     attempt.keep("checkpoint.msgpack", role="checkpoint", media_type="application/octet-stream", step=1000)
     page = tab.open(f"#/jobs/{attempt.id}")
@@ -233,6 +242,7 @@ def test_a_fork_of_the_last_checkpoint_has_steps_left_to_train(tab: Tab, attempt
     expect(page.get_by_label("num timesteps", exact=True)).to_have_value("2000")
 
 
+@pytest.mark.extra
 def test_the_best_evaluation_and_its_policy_are_named(tab: Tab, attempt: Attempt) -> None:
     attempt.keep(
         "policy-best",
@@ -252,6 +262,7 @@ def test_the_best_evaluation_and_its_policy_are_named(tab: Tab, attempt: Attempt
     expect(said).not_to_contain_text('"step"')
 
 
+@pytest.mark.extra
 def test_phases_costs_and_terms_are_there(stack: Stack, tab: Tab, attempt: Attempt) -> None:
     attempt.say("phase", name="compile", seconds=12.5)
     measure(
@@ -273,6 +284,7 @@ def test_phases_costs_and_terms_are_there(stack: Stack, tab: Tab, attempt: Attem
     expect(page.locator(".bars li").filter(has_text="first update")).to_contain_text("3 s")
 
 
+@pytest.mark.extra
 def test_the_specification_stands_beside_what_defaults_filled_in(tab: Tab, attempt: Attempt) -> None:
     page = tab.open(f"#/jobs/{attempt.id}/specification")
     table = page.get_by_role("region", name="All settings")
@@ -301,6 +313,7 @@ def test_a_job_is_cancelled_after_one_more_question(stack: Stack, tab: Tab, atte
     expect(page.locator(".message")).to_have_text("user_cancelled: It came to its end.")
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("tab_name", ["overview", "curves", "log", "files"])
 def test_a_job_that_left_nothing_says_so(stack: Stack, tab: Tab, tab_name: str) -> None:
     attempt = Attempt(stack, job(video=None))
@@ -315,6 +328,7 @@ def test_a_job_that_left_nothing_says_so(stack: Stack, tab: Tab, tab_name: str) 
     expect(page.get_by_text(said[tab_name])).to_be_visible()
 
 
+@pytest.mark.extra
 def test_a_job_that_is_deleted_while_somebody_looks(stack: Stack, tab: Tab, attempt: Attempt) -> None:
     attempt.end()
     page = tab.open(f"#/jobs/{attempt.id}")
@@ -327,6 +341,7 @@ def test_a_job_that_is_deleted_while_somebody_looks(stack: Stack, tab: Tab, atte
     expect(page.get_by_role("alert")).to_contain_text("There is no job")
 
 
+@pytest.mark.extra
 def test_a_job_that_another_reader_deletes_is_said_to_be_gone(
     stack: Stack, tab: Tab, attempt: Attempt
 ) -> None:
@@ -367,6 +382,7 @@ def test_a_service_that_goes_away_and_comes_back(stack: Stack, make_tab: MakeTab
         page.close()
 
 
+@pytest.mark.extra
 def test_a_job_of_several_seeds_shows_one_ones_files_and_all_their_curves(stack: Stack, tab: Tab) -> None:
     attempt = Attempt(stack, job(name="three", seeds=[4, 0]))
     for step in (100, 200):

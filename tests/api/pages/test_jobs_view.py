@@ -2,6 +2,7 @@
 
 import re
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from core.jobs.job import Job, Origin, Progress
@@ -20,6 +21,7 @@ def names(page: Page) -> list[str]:
     return page.locator(".job h2").all_inner_texts()
 
 
+@pytest.mark.extra
 def test_nothing_yet_says_what_to_do(tab: Tab) -> None:
     page = tab.open()
     expect(page.get_by_text("No jobs yet.")).to_be_visible()
@@ -51,6 +53,7 @@ def test_a_running_job_shows_its_progress_its_return_and_what_comes(stack: Stack
     expect(row.locator(".status")).to_have_text("succeeded")
 
 
+@pytest.mark.extra
 def test_a_name_with_markup_is_text(stack: Stack, tab: Tab) -> None:
     stack.store.add(numbered(1, name="<img src=x onerror=alert(1)><b>bold</b>"))
     page = tab.open()
@@ -79,6 +82,7 @@ def test_filters_stand_in_the_address_and_come_back_with_it(stack: Stack, tab: T
     expect(page.locator(".job")).to_have_count(1)
 
 
+@pytest.mark.extra
 def test_a_label_without_a_colon_says_so(stack: Stack, tab: Tab) -> None:
     """9.3: it filtered nothing, silently."""
     stack.store.add(numbered(1, name="a walk", labels={"project": "gaits"}))
@@ -99,6 +103,7 @@ def test_a_label_without_a_colon_says_so(stack: Stack, tab: Tab) -> None:
     expect(page.get_by_role("alert").locator("code").first).to_have_text("label")
 
 
+@pytest.mark.extra
 def test_an_imported_trial_does_not_look_like_a_trial_of_a_sweep_here(stack: Stack, tab: Tab) -> None:
     """9.3."""
     labels = {"sweep": "019aa3c2f0b1-0000000000", "trial": "3", "project": "gaits"}
@@ -112,6 +117,7 @@ def test_an_imported_trial_does_not_look_like_a_trial_of_a_sweep_here(stack: Sta
     expect(ours.get_by_role("list", name="Labels")).to_contain_text("trial: 3")
 
 
+@pytest.mark.extra
 def test_an_export_becomes_a_job_that_says_where_it_was_run(stack: Stack, tab: Tab, exported: bytes) -> None:
     page = tab.open()
     page.get_by_text("Import an export").click()
@@ -126,6 +132,7 @@ def test_an_export_becomes_a_job_that_says_where_it_was_run(stack: Stack, tab: T
     expect(page.locator(".status").first).to_have_text("succeeded")
 
 
+@pytest.mark.extra
 def test_older_jobs_are_a_page_away(stack: Stack, tab: Tab) -> None:
     for number in range(30):
         stack.store.add(numbered(number, name=f"job {number}"))
@@ -138,6 +145,7 @@ def test_older_jobs_are_a_page_away(stack: Stack, tab: Tab) -> None:
     expect(page.locator(".job")).to_have_count(25)
 
 
+@pytest.mark.extra
 def test_a_waiting_job_and_a_failed_one_say_why(stack: Stack, tab: Tab) -> None:
     stack.store.add(numbered(1, name="waits"))
     failed = Attempt(stack, numbered(2, name="fell"))
@@ -147,6 +155,7 @@ def test_a_waiting_job_and_a_failed_one_say_why(stack: Stack, tab: Tab) -> None:
     expect(page.get_by_role("listitem").filter(has_text="fell")).to_contain_text("It came to its end.")
 
 
+@pytest.mark.extra
 def test_the_list_can_be_walked_by_keyboard(stack: Stack, tab: Tab) -> None:
     stack.store.add(numbered(1, name="first steps"))
     page = tab.open()
@@ -162,6 +171,7 @@ def test_the_list_can_be_walked_by_keyboard(stack: Stack, tab: Tab) -> None:
     expect(page.get_by_role("heading", name="first steps")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_workers_and_the_queue_say_what_waits_and_why(stack: Stack, make_tab: MakeTab) -> None:
     tab = make_tab()
     page = tab.open("#/workers")

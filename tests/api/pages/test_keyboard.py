@@ -39,6 +39,7 @@ def pair(stack: Stack) -> list[Attempt]:
 _FORMS = ("#/submit", "#/sweeps/new")
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("view", ["#/jobs/{0}", "#/compare?ids={0},{1}", *_FORMS])
 def test_tab_reaches_all_that_can_be_used(tab: Tab, pair: list[Attempt], view: str) -> None:
     page = tab.open(view.format(*(attempt.id for attempt in pair)))

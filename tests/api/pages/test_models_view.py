@@ -54,6 +54,7 @@ def test_a_model_is_sent_by_the_file_input_and_described(tab: Tab) -> None:
     tab.picture("models-described")
 
 
+@pytest.mark.extra
 @pytest.mark.usefixtures("reading")
 def test_a_model_is_sent_by_a_drop_and_described(tab: Tab) -> None:
     page = tab.open("#/models")
@@ -73,6 +74,7 @@ def test_a_model_is_sent_by_a_drop_and_described(tab: Tab) -> None:
     expect_the_ball(page)
 
 
+@pytest.mark.extra
 def test_the_document_of_a_zip_that_is_the_model_can_be_named(stack: Stack, tab: Tab) -> None:
     page = tab.open("#/models")
     file = {"name": "two.zip", "mimeType": "application/zip", "buffer": zipped({"a.xml": XML, "b.xml": XML})}
@@ -90,6 +92,7 @@ def test_the_document_of_a_zip_that_is_the_model_can_be_named(stack: Stack, tab:
     assert tab.violations() == []
 
 
+@pytest.mark.extra
 @pytest.mark.usefixtures("reading")
 def test_the_form_offers_the_models_that_were_sent(tab: Tab) -> None:
     page = tab.open("#/submit")
@@ -106,6 +109,7 @@ def test_the_form_offers_the_models_that_were_sent(tab: Tab) -> None:
     tab.picture("submit-own-model")
 
 
+@pytest.mark.extra
 def test_a_model_that_is_no_model_is_refused_with_the_services_words(tab: Tab) -> None:
     page = tab.open("#/models")
     expect(page.get_by_text("No models yet.")).to_be_visible()

@@ -73,6 +73,7 @@ def test_a_grid_is_written_counted_and_started(stack: Stack, tab: Tab) -> None:
     assert (stored["max_trials"], stored["spec"]["parameters"]["seed"]) == (12, [1, 2])
 
 
+@pytest.mark.extra
 def test_a_jobs_page_leads_to_a_sweep_over_its_settings(stack: Stack, tab: Tab) -> None:
     settings = {"kind": "ppo", "num_timesteps": 1000, "learning_rate": 0.001}
     stack.store.add(job(name="good", algorithm=settings, labels={"trial": "3", "sweep": "x", "who": "me"}))
@@ -96,6 +97,7 @@ def test_a_jobs_page_leads_to_a_sweep_over_its_settings(stack: Stack, tab: Tab) 
     }
 
 
+@pytest.mark.extra
 def test_refusals_stand_beside_the_fields_that_they_name(tab: Tab) -> None:
     page = tab.open("#/sweeps/new")
     start(page)
@@ -134,6 +136,7 @@ def test_refusals_stand_beside_the_fields_that_they_name(tab: Tab) -> None:
     expect(page.get_by_label("num envs", exact=True)).to_have_attribute("aria-invalid", "true")
 
 
+@pytest.mark.extra
 def test_each_method_asks_and_sends_only_what_it_takes(tab: Tab) -> None:
     page = tab.open("#/sweeps/new")
     page.get_by_label("Example of a sweep").select_option("population-based training")
@@ -178,6 +181,7 @@ def test_each_method_asks_and_sends_only_what_it_takes(tab: Tab) -> None:
     assert "objective" not in found  # The first one is the default.
 
 
+@pytest.mark.extra
 def test_a_job_is_pasted_or_taken_from_the_list(stack: Stack, tab: Tab) -> None:
     stack.store.add(job(name="of the list", environment="hopper"))
     page = tab.open("#/sweeps/new")
@@ -208,6 +212,7 @@ def test_a_job_is_pasted_or_taken_from_the_list(stack: Stack, tab: Tab) -> None:
     expect(page.get_by_text("Nothing varies yet")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_an_axis_that_the_job_does_not_have_is_said_at_once(tab: Tab) -> None:
     page = tab.open("#/sweeps/new")
     add(page, "algorithm.entropy_cost")
@@ -218,6 +223,7 @@ def test_an_axis_that_the_job_does_not_have_is_said_at_once(tab: Tab) -> None:
     expect(page.get_by_text("The job has no such setting")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_the_page_counts_the_values_of_an_axis_as_the_service_does(tab: Tab) -> None:
     page = tab.open("#/sweeps/new")
     axes: list[tuple[JsonValue, bool]] = [
@@ -245,6 +251,7 @@ def test_the_page_counts_the_values_of_an_axis_as_the_service_does(tab: Tab) -> 
     assert counted == of_service
 
 
+@pytest.mark.extra
 def test_a_form_that_was_begun_goes_on_as_a_sweep_and_the_sweep_as_python(tab: Tab) -> None:
     page = tab.open("#/submit?environment=hopper")
     page.get_by_label("seed", exact=True).fill("7")
@@ -266,6 +273,7 @@ def test_a_form_that_was_begun_goes_on_as_a_sweep_and_the_sweep_as_python(tab: T
     }
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [1200, 380])
 def test_the_form_is_accessible_and_fits(make_tab: MakeTab, width: int, dark: bool) -> None:

@@ -56,6 +56,7 @@ def test_jobs_are_picked_and_compared(stack: Stack, tab: Tab, pair: list[Attempt
     assert [name for name in settings if "." in name or name == "seed"] == ["seed", "algorithm.learning_rate"]
 
 
+@pytest.mark.extra
 def test_seeds_of_one_setting_are_shown_as_a_band(stack: Stack, tab: Tab) -> None:
     """Where only one seed has a value, another counts as straight between its own, and not beyond them."""
     returns = {1: {100: 10.0, 300: 30.0}, 2: {100: 30.0, 200: 60.0, 300: 50.0}, 3: {100: 20.0}}
@@ -75,6 +76,7 @@ def test_seeds_of_one_setting_are_shown_as_a_band(stack: Stack, tab: Tab) -> Non
     tab.picture("compare-band")
 
 
+@pytest.mark.extra
 def test_what_is_compared_is_exported(tab: Tab, pair: list[Attempt], tmp_path: Path) -> None:
     page = tab.open(f"#/compare?ids={pair[0].id},{pair[1].id}&metric=eval/episode_reward")
     expect(page.get_by_role("img", name="seed 2: last 400 at 200")).to_be_visible()
@@ -95,6 +97,7 @@ def test_what_is_compared_is_exported(tab: Tab, pair: list[Attempt], tmp_path: P
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.extra
 def test_a_picture_of_many_curves_names_them_in_their_colours(
     stack: Stack, make_tab: MakeTab, tmp_path: Path
 ) -> None:
@@ -150,6 +153,7 @@ def film(path: Path, num_frames: int, shade: int) -> bytes:
     return path.read_bytes()
 
 
+@pytest.mark.extra
 def test_videos_that_are_compared_follow_one_clock(tab: Tab, pair: list[Attempt], tmp_path: Path) -> None:
     """The first job's last 1 s and 2 s, the second's 3 s and 1.5 s, at two checkpoints."""
     for attempt, lengths in zip(pair, ((10, 20), (30, 15)), strict=True):
@@ -207,6 +211,7 @@ def test_videos_that_are_compared_follow_one_clock(tab: Tab, pair: list[Attempt]
     tab.picture("compare-films")
 
 
+@pytest.mark.extra
 def test_a_job_that_is_gone_does_not_hide_the_others(tab: Tab, pair: list[Attempt]) -> None:
     page = tab.open(f"#/compare?ids={pair[0].id},0000000000ff-0000000000")
     expect(page.get_by_text("Not there (any more): 0000000000ff-0000000000")).to_be_visible()
@@ -245,6 +250,7 @@ def test_a_form_from_the_schemas_submits_and_shows_refusals_in_place(stack: Stac
     }
 
 
+@pytest.mark.extra
 def test_the_same_submission_for_curl_and_for_python(stack: Stack, tab: Tab) -> None:
     page = tab.open("#/submit?environment=ant")
     page.get_by_label("name", exact=True).fill('it\'s "quoted"')
@@ -264,6 +270,7 @@ def test_the_same_submission_for_curl_and_for_python(stack: Stack, tab: Tab) -> 
     assert ast.literal_eval(call.args[0]) == expected
 
 
+@pytest.mark.extra
 def test_a_job_is_run_again_as_it_was_sent(stack: Stack, tab: Tab, pair: list[Attempt]) -> None:
     page = tab.open(f"#/jobs/{pair[1].id}")
     page.get_by_role("link", name="Run again").click()
@@ -273,6 +280,7 @@ def test_a_job_is_run_again_as_it_was_sent(stack: Stack, tab: Tab, pair: list[At
     assert first["spec"] == second["spec"]
 
 
+@pytest.mark.extra
 def test_models_and_workers_come_page_by_page_and_jobs_wait_for_all_workers(stack: Stack, tab: Tab) -> None:
     """Of 51 workers, the last is free: the job waits because others come first, whichever page is shown."""
     for number in range(51):
@@ -310,6 +318,7 @@ def test_models_and_workers_come_page_by_page_and_jobs_wait_for_all_workers(stac
     expect(page.get_by_role("link", name="Train it")).to_have_count(1)
 
 
+@pytest.mark.extra
 def test_a_worker_that_trains_two_jobs_together_links_both(
     stack: Stack, tab: Tab, pair: list[Attempt]
 ) -> None:
@@ -369,6 +378,7 @@ def test_every_view_is_accessible_and_fits(tab: Tab, pair: list[Attempt]) -> Non
         page.emulate_media(color_scheme="light")
 
 
+@pytest.mark.extra
 def test_the_reader_chooses_light_or_dark(tab: Tab) -> None:
     page = tab.open()
     ground = "getComputedStyle(document.body).backgroundColor"
@@ -380,6 +390,7 @@ def test_the_reader_chooses_light_or_dark(tab: Tab) -> None:
     assert page.evaluate(ground) != light
 
 
+@pytest.mark.extra
 def test_a_view_that_an_outage_kept_away_comes_when_it_is_over(tab: Tab) -> None:
     page = tab.open("#/jobs")
     expect(page.get_by_role("heading", name="Jobs")).to_be_visible()
@@ -390,6 +401,7 @@ def test_a_view_that_an_outage_kept_away_comes_when_it_is_over(tab: Tab) -> None
     expect(page.get_by_role("heading", name="Workers")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_an_address_of_nowhere_leads_back(tab: Tab) -> None:
     page = tab.open("#/nowhere")
     expect(page.get_by_text("There is no page “nowhere”.")).to_be_visible()

@@ -131,6 +131,7 @@ MOVING = """<mujoco><worldbody><body name="arm" pos="0 0 1">
   <keyframe><key name="moving" qpos=".4" qvel="3" act=".7"/></keyframe></mujoco>"""
 
 
+@pytest.mark.extra
 def test_the_browser_begins_in_the_motion_of_a_keyframe(
     browser: Browser, stack: Stack, tmp_path: Path
 ) -> None:
@@ -229,6 +230,7 @@ def test_a_body_falls_to_its_feet_and_a_push_moves_it(tab: Tab, pushed: str) -> 
     expect(page.get_by_role("button", name="Play")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_the_tutorials_robot_whose_motors_are_servos_is_pushed(
     tab: Tab, attempt: Attempt, tmp_path: Path
 ) -> None:
@@ -245,6 +247,7 @@ def test_the_tutorials_robot_whose_motors_are_servos_is_pushed(
     tab.picture("push-servos")
 
 
+@pytest.mark.extra
 def test_a_drag_pulls_the_body_until_it_falls_and_it_starts_again(tab: Tab, pushed: str) -> None:
     page = standing(tab, pushed)
     page.get_by_role("button", name="Play").click()
@@ -263,6 +266,7 @@ def test_a_drag_pulls_the_body_until_it_falls_and_it_starts_again(tab: Tab, push
     until(page, "time < 0.5")
 
 
+@pytest.mark.extra
 def test_a_running_trainings_newest_policy_takes_over(tab: Tab, training: Attempt) -> None:
     page = standing(tab, training.id)
     page.get_by_role("button", name="Play").click()
@@ -282,6 +286,7 @@ def test_a_running_trainings_newest_policy_takes_over(tab: Tab, training: Attemp
     expect(page.get_by_text("Policy at step 2,000", exact=True)).to_be_visible()
 
 
+@pytest.mark.extra
 def test_a_running_training_is_pushed_from_its_first_replay_on(tab: Tab, attempt: Attempt) -> None:
     page = tab.open(f"#/jobs/{attempt.id}/push")
     expect(page.get_by_text("is running and has no simulation yet")).to_be_visible()
@@ -292,6 +297,7 @@ def test_a_running_training_is_pushed_from_its_first_replay_on(tab: Tab, attempt
     expect(link).to_be_visible()
 
 
+@pytest.mark.extra
 def test_a_body_that_cannot_be_pushed_says_why(tab: Tab, attempt: Attempt) -> None:
     refusal = "This body cannot be pushed: it is made of dreams."
     content = json.dumps({"refusal": refusal}).encode()
@@ -305,6 +311,7 @@ def test_a_body_that_cannot_be_pushed_says_why(tab: Tab, attempt: Attempt) -> No
     expect(page.get_by_role("link", name="Push")).to_have_count(0)
 
 
+@pytest.mark.extra
 def test_a_model_that_mujoco_there_does_not_read_says_so(tab: Tab, attempt: Attempt) -> None:
     role, content = files()["simulation.json"]
     changed = content.replace(b"<worldbody>", b"<world_of_tomorrow>")
@@ -318,6 +325,7 @@ def test_a_model_that_mujoco_there_does_not_read_says_so(tab: Tab, attempt: Atte
     tab.picture("push-refused")
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize(("width", "dark"), [(1280, True), (380, False)])
 def test_the_view_is_accessible_and_fits(make_tab: MakeTab, pushed: str, width: int, dark: bool) -> None:
     tab = make_tab(width, dark)

@@ -101,6 +101,7 @@ def test_the_address_names_the_moment_and_controls_change_it(
     expect(page.get_by_role("button", name="Play")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_a_running_job_without_a_video_plays_its_newest_replay(
     tab: Tab, attempt: Attempt, scene: bytes
 ) -> None:
@@ -121,6 +122,7 @@ def test_a_running_job_without_a_video_plays_its_newest_replay(
     expect(page.locator("canvas")).to_have_count(0)
 
 
+@pytest.mark.extra
 def test_a_replay_that_plays_is_left_without_an_error(tab: Tab, attempt: Attempt, scene: bytes) -> None:
     keep(attempt, scene, 100)
     page = drawn(tab.open(f"#/jobs/{attempt.id}/replay"))
@@ -133,6 +135,7 @@ def test_a_replay_that_plays_is_left_without_an_error(tab: Tab, attempt: Attempt
         drawn(page)
 
 
+@pytest.mark.extra
 def test_the_mouse_turns_the_picture(tab: Tab, attempt: Attempt, scene: bytes) -> None:
     keep(attempt, scene, 100)
     page = drawn(tab.open(f"#/jobs/{attempt.id}/replay?t=0"))
@@ -182,6 +185,7 @@ def test_the_browser_reads_the_poses_that_the_worker_wrote(tab: Tab, attempt: At
     assert len(touched) == expected.arrays["contact_count"][10]
 
 
+@pytest.mark.extra
 def test_several_episodes_stand_over_each_other_or_side_by_side(
     tab: Tab, attempt: Attempt, scene: bytes
 ) -> None:
@@ -197,6 +201,7 @@ def test_several_episodes_stand_over_each_other_or_side_by_side(
     tab.picture("replay-side-by-side")
 
 
+@pytest.mark.extra
 def test_the_newest_checkpoint_is_shown_as_soon_as_it_is_there(
     tab: Tab, attempt: Attempt, scene: bytes
 ) -> None:
@@ -217,6 +222,7 @@ def test_the_newest_checkpoint_is_shown_as_soon_as_it_is_there(
     expect(page.get_by_role("img", name="at step 100")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_an_older_job_says_how_to_get_a_replay(tab: Tab, attempt: Attempt) -> None:
     attempt.keep("trajectory.npz", role="trajectory", media_type="application/x-npz")
     attempt.end(JobStatus.SUCCEEDED)
@@ -224,6 +230,7 @@ def test_an_older_job_says_how_to_get_a_replay(tab: Tab, attempt: Attempt) -> No
     expect(page.get_by_text("roll its policy out again")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_a_damaged_file_says_so(tab: Tab, attempt: Attempt, scene: bytes) -> None:
     attempt.keep("scene.glb", scene, role="scene", media_type="model/gltf-binary")
     attempt.keep("replay.bin", b"no such thing", role="replay", media_type="application/octet-stream", step=1)
@@ -231,6 +238,7 @@ def test_a_damaged_file_says_so(tab: Tab, attempt: Attempt, scene: bytes) -> Non
     expect(page.get_by_role("alert")).to_contain_text("This file is not a replay.")
 
 
+@pytest.mark.extra
 def test_three_js_is_loaded_only_with_a_replay(tab: Tab, attempt: Attempt, scene: bytes) -> None:
     keep(attempt, scene, 100)
     attempt.keep("video-100.mp4", step=100)  # Without one, the job's page shows the replay.
@@ -245,6 +253,7 @@ def test_three_js_is_loaded_only_with_a_replay(tab: Tab, attempt: Attempt, scene
     assert [url for url in asked if "three" in url]
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize(("width", "dark"), [(1280, True), (380, False)])
 def test_the_replay_is_accessible_and_fits(
     make_tab: MakeTab, attempt: Attempt, scene: bytes, width: int, dark: bool

@@ -100,6 +100,7 @@ def test_a_report_opens_from_a_disk_with_curve_video_settings_and_log(
     assert flaws(page) == []
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("ended", [JobStatus.FAILED, None])
 def test_a_job_that_runs_or_failed_and_has_no_video_has_a_report_where_markup_is_text(
     stack: Stack, reader: Reader, ended: JobStatus | None
@@ -119,6 +120,7 @@ def test_a_job_that_runs_or_failed_and_has_no_video_has_a_report_where_markup_is
     assert page.evaluate(wider) == 0
 
 
+@pytest.mark.extra
 def test_a_report_replays_the_body_without_a_network(stack: Stack, reader: Reader, scene: bytes) -> None:
     attempt = Attempt(stack, job(name="rolls"))
     keep(attempt, scene, 100, num_episodes=2)
@@ -136,6 +138,7 @@ def test_a_report_replays_the_body_without_a_network(stack: Stack, reader: Reade
     assert page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth") == 0
 
 
+@pytest.mark.extra
 def test_a_report_says_why_it_has_no_replay(
     stack: Stack, reader: Reader, scene: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -150,6 +153,7 @@ def test_a_report_says_why_it_has_no_replay(
     expect(page.get_by_text("It is larger than 1.0 kB")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_the_page_of_a_job_shares_and_exports_it(stack: Stack, tab: Tab) -> None:
     attempt = Attempt(stack, job(name="first steps"))
     page = tab.open(f"#/jobs/{attempt.id}")

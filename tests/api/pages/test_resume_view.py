@@ -65,6 +65,7 @@ def test_an_ended_sweep_is_resumed_under_another_budget(
     expect(page.get_by_text("Resume under another budget")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_a_sweep_like_another_is_written_from_its_page(tab: Tab, ended: dict[str, Any]) -> None:
     page = tab.open(f"#/sweeps/{ended['id']}")
     page.get_by_role("link", name="Start one like it").click()
@@ -75,6 +76,7 @@ def test_a_sweep_like_another_is_written_from_its_page(tab: Tab, ended: dict[str
     assert found["job"]["algorithm"] == {"num_timesteps": 1000}
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [1200, 380])
 def test_the_form_is_accessible_and_fits(

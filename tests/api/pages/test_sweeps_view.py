@@ -74,6 +74,7 @@ def test_a_sweep_shows_what_came_of_its_trials(tab: Tab, sweep: dict[str, Any]) 
 DISTANCE = "eval/episode_distance_from_origin"
 
 
+@pytest.mark.extra
 def test_of_several_objectives_one_is_chosen_and_the_front_is_marked(stack: Stack, make_tab: MakeTab) -> None:
     """Trials 0 to 5 have the returns 0 to 50 and distances of which 0, 2, 3 and 5 are not beaten in both."""
     sweep, controller = begun(
@@ -132,6 +133,7 @@ def test_of_several_objectives_one_is_chosen_and_the_front_is_marked(stack: Stac
         tab.picture(f"sweep-objectives-{width}")
 
 
+@pytest.mark.extra
 def test_a_population_shows_generations_and_parents(stack: Stack, tab: Tab) -> None:
     population = {
         "job": {"kind": "train", "environment": "ant", "algorithm": {"num_timesteps": 10**8}},
@@ -182,6 +184,7 @@ def train(stack: Stack, trial: Trial) -> Attempt:
     return attempt
 
 
+@pytest.mark.extra
 def test_each_trial_shows_its_curve_and_its_video(stack: Stack, make_tab: MakeTab, tmp_path: Path) -> None:
     write_png(tmp_path / "poster.png", np.full((48, 64, 3), 120, np.uint8))
     poster = (tmp_path / "poster.png").read_bytes()
@@ -215,6 +218,7 @@ def test_each_trial_shows_its_curve_and_its_video(stack: Stack, make_tab: MakeTa
     expect(rows.filter(has_text="trial 0").locator(".thumbnail img")).to_be_visible()
 
 
+@pytest.mark.extra
 def test_seeds_that_one_job_trains_are_a_band(stack: Stack, make_tab: MakeTab) -> None:
     job = {**SWEEP["job"], "resources": {"accelerator": "gpu"}}
     for parameters in ({"algorithm.learning_rate": [1e-4, 1e-3], "seed": [1, 2]}, {"seed": [1, 2]}):
@@ -261,6 +265,7 @@ def test_of_many_trials_those_in_sight_load_their_curves(stack: Stack, tab: Tab)
     assert len(set(curves)) == len(curves) < 60
 
 
+@pytest.mark.extra
 def test_trials_are_picked_and_compared(tab: Tab, sweep: dict[str, Any]) -> None:
     page = tab.open(f"#/sweeps/{sweep['id']}")
     for number in (0, 8):
@@ -278,6 +283,7 @@ def test_a_sweep_is_cancelled_after_a_question(stack: Stack, tab: Tab, sweep: di
     assert stack.http.get(sweep["links"]["self"]).json()["status"] == "cancelling"
 
 
+@pytest.mark.extra
 def test_without_sweeps_the_page_says_how_to_begin(tab: Tab) -> None:
     page = tab.open("#/sweeps")
     expect(page.get_by_text("No sweeps yet.")).to_be_visible()
@@ -285,6 +291,7 @@ def test_without_sweeps_the_page_says_how_to_begin(tab: Tab) -> None:
     expect(page.get_by_role("alert")).to_contain_text("There is no sweep '019aa3c2f0b1-5be0c1d2e3'.")
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (380, True)], ids=["desk", "phone"])
 def test_both_views_are_accessible_and_fit(
     make_tab: MakeTab, sweep: dict[str, Any], width: int, dark: bool

@@ -75,7 +75,7 @@ def fleet(settings: WorkerSettings, job_store: PostgresJobStore, log: Path) -> I
     fleet.process.wait(10)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.extra)])
 def test_a_signal_to_the_fleet_ends_all_its_workers_and_it_waits_for_them(
     fleet: Fleet, number: signal.Signals
 ) -> None:
@@ -126,6 +126,7 @@ def misconfigurations(said: str) -> list[str]:
     return [line["detail"] for line in lines if line["event"] == "misconfigured"]
 
 
+@pytest.mark.extra
 def test_a_worker_that_is_misconfigured_ends_the_fleet_with_its_status_and_is_not_tried_again() -> None:
     done = run_fleet("cpu", "cpu")  # Without a single setting.
     said = misconfigurations(done.stdout)
@@ -156,6 +157,7 @@ def test_a_worker_that_could_never_work_ends_the_fleet() -> None:
         ended(Member("cpu")).look_after()
 
 
+@pytest.mark.extra
 @pytest.mark.usefixtures("nothing_set")
 def test_a_worker_that_worked_before_is_tried_again_and_leaves_the_others_alone() -> None:
     member = ended(Member("cpu"))

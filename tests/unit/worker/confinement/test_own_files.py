@@ -87,6 +87,7 @@ def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Asked:
     return Asked(tmp_path / "data", monkeypatch)
 
 
+@pytest.mark.extra
 def test_a_preview_reads_no_secret_of_the_worker(asked: Asked) -> None:
     objects = MemoryObjectStore()
     objects.put(keys.model_source(request().model or ""), MODEL)
@@ -130,6 +131,7 @@ def test_a_training_process_with_a_users_model_reads_no_secret_of_the_worker(ask
     assert list((asked.spool / "cache" / "jax").iterdir())
 
 
+@pytest.mark.extra
 def test_a_worker_that_confines_no_models_lets_them_be(
     asked: Asked, settings: WorkerSettings, tmp_path: Path
 ) -> None:

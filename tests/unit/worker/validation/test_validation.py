@@ -81,6 +81,7 @@ def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path:
         assert why in (found.engines[engine] or "")
 
 
+@pytest.mark.extra
 def test_an_engine_that_moves_a_model_otherwise_than_mujoco_does_not_run_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -101,6 +102,7 @@ def test_an_engine_that_moves_a_model_otherwise_than_mujoco_does_not_run_it(
     assert set(found.code_seconds) == {"native"}
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize(
     ("limit", "said"),
     [
@@ -121,6 +123,7 @@ def test_trials_end_in_time_and_give_way_to_jobs(
     assert found.engines["native"] is None
 
 
+@pytest.mark.extra
 def test_what_an_engine_can_hold_but_not_step_is_found_too(tmp_path: Path) -> None:
     # A rangefinder that sees one geom alone: MJX takes the model, and its step cannot be traced.
     one_geom = XML.replace(b'<geom name="floor" type="plane" size="5 5 1"/>', b"")
@@ -205,11 +208,16 @@ def test_what_engines_would_leave_out_is_said_at_once(tmp_path: Path) -> None:
     ("body", "sentence"),
     [
         (XML.replace(b'joint="elbow"', b'joint="knee"'), "MuJoCo cannot compile the model: Error: unknown"),
-        (XML.replace(b"<mujoco>", b'<mujoco><size memory="900G"/>'), "memory"),
-        (XML.replace(b'mass="0.1"', b'mass="1e309"'), "number is too large"),
-        (b'<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "document type"),
-        (b'<mujoco><include file="/etc/hostname"/></mujoco>', "send both in a zip"),
-        (zipped({"model.xml": XML, "m.stl": b"\0" * 2**22}), "times its size"),
+        *(
+            pytest.param(body, sentence, marks=pytest.mark.extra)
+            for body, sentence in (
+                (XML.replace(b"<mujoco>", b'<mujoco><size memory="900G"/>'), "memory"),
+                (XML.replace(b'mass="0.1"', b'mass="1e309"'), "number is too large"),
+                (b'<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "document type"),
+                (b'<mujoco><include file="/etc/hostname"/></mujoco>', "send both in a zip"),
+                (zipped({"model.xml": XML, "m.stl": b"\0" * 2**22}), "times its size"),
+            )
+        ),
     ],
 )
 def test_a_model_that_no_job_could_use_is_refused(body: bytes, sentence: str, tmp_path: Path) -> None:
@@ -220,6 +228,7 @@ def test_a_model_that_no_job_could_use_is_refused(body: bytes, sentence: str, tm
     assert str(tmp_path) not in answer.refusal
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("data", ["1", "0 0 0 0 0 0 0 0 0"])
 def test_an_init_qpos_of_another_length_is_refused_with_both(data: str, tmp_path: Path) -> None:
     custom = f'<custom><numeric name="init_qpos" data="{data}"/></custom></mujoco>'.encode()
