@@ -7,21 +7,9 @@ from itertools import islice
 from core.errors import Misconfigured
 from core.sweeps import pbt
 from core.sweeps.axes import Values, combinations, num_combinations, random_values
-from core.sweeps.pruning import Curve, is_to_prune
+from core.sweeps.pruning import is_to_prune
 from core.sweeps.spec import MAX_TRIALS, SweepSpec
-from core.sweeps.sweep import Sweep, SweepStatus, Trial
-
-
-@dataclass(frozen=True)
-class Seen:
-    """A trial as it is now. curve: the objective's values by step, read only for pruning."""
-
-    trial: Trial
-    curve: Curve = field(default_factory=dict[int, float])
-
-    @property
-    def is_over(self) -> bool:
-        return self.trial.outcome is not None
+from core.sweeps.sweep import Curve, SeenTrial, Sweep, SweepStatus, Trial
 
 
 @dataclass(frozen=True)
@@ -64,7 +52,7 @@ class End:
 Decision = Start | Prune | Cancel | End
 
 
-def advance(sweep: Sweep, seen: Sequence[Seen], steps_of: Callable[[Values], int]) -> Sequence[Decision]:
+def advance(sweep: Sweep, seen: Sequence[SeenTrial], steps_of: Callable[[Values], int]) -> Sequence[Decision]:
     """The next decisions; the same records give the same ones.
 
     seen: all trials by their number. steps_of: the environment steps that a trial with these values may take.
@@ -113,7 +101,7 @@ def num_trials(spec: SweepSpec, trials: Sequence[Trial]) -> int:
 
 
 def _starts(
-    sweep: Sweep, seen: Sequence[Seen], steps_of: Callable[[Values], int]
+    sweep: Sweep, seen: Sequence[SeenTrial], steps_of: Callable[[Values], int]
 ) -> tuple[Sequence[Start], str | None]:
     """As many as may run side by side, each drawn with those before it; and why no more may start, if so.
 
@@ -140,10 +128,10 @@ def _starts(
             planned_steps=start.planned_steps,
             created_at=sweep.created_at,
         )
-        known.append(Seen(trial))
+        known.append(SeenTrial(trial))
 
 
-def _start(spec: SweepSpec, seen: Sequence[Seen], steps_of: Callable[[Values], int]) -> Start:
+def _start(spec: SweepSpec, seen: Sequence[SeenTrial], steps_of: Callable[[Values], int]) -> Start:
     """The start of the next trial. Raises pbt.DiedOut; Misconfigured where the method lacks a package."""
     number = len(seen)
     if spec.population is not None:
@@ -154,19 +142,19 @@ def _start(spec: SweepSpec, seen: Sequence[Seen], steps_of: Callable[[Values], i
     return Start(number, values, steps_of(values))
 
 
-def _drawn(spec: SweepSpec, number: int, seen: Sequence[Seen]) -> Values:
+def _drawn(spec: SweepSpec, number: int, seen: Sequence[SeenTrial]) -> Values:
     match spec.method:
         case "grid":
             return next(islice(combinations(spec.parameters), number, None))
         case "random" | "pbt":
             return random_values(spec, number)
         case "qmc" | "tpe" | "cma_es" | "nsga2":
-            from core.sweeps.samplers import ask
+            from core.sweeps.samplers import ask  # Loads Optuna.
 
             return ask(spec, number, seen)
 
 
-def _worth_ending(spec: SweepSpec, seen: Sequence[Seen]) -> Iterator[Trial]:
+def _worth_ending(spec: SweepSpec, seen: Sequence[SeenTrial]) -> Iterator[Trial]:
     if spec.pruning is None:
         return
     sign = spec.objectives[0].sign
@@ -184,7 +172,7 @@ def _worth_ending(spec: SweepSpec, seen: Sequence[Seen]) -> Iterator[Trial]:
             yield trial
 
 
-def _summary(why: str, seen: Sequence[Seen]) -> str:
+def _summary(why: str, seen: Sequence[SeenTrial]) -> str:
     counted: dict[str, int] = {}
     for one in seen:
         outcome = one.trial.outcome or "running"

@@ -29,14 +29,14 @@ from core.jobs.queue import JobQueue
 from core.jobs.spec import JobSpec, TrainSpec
 from core.jobs.store import Dispatch
 from core.storage.objects import ObjectStore
-from core.sweeps.advance import Cancel, Decision, End, Prune, Seen, Start, advance
+from core.sweeps.advance import Cancel, Decision, End, Prune, Start, advance
 from core.sweeps.checks import steps_of
 from core.sweeps.curves import Curves
 from core.sweeps.fields import job_of
 from core.sweeps.importance import importance
 from core.sweeps.judging import judged
 from core.sweeps.store import SweepMark, SweepStore
-from core.sweeps.sweep import Sweep, Trial
+from core.sweeps.sweep import SeenTrial, Sweep, Trial
 
 log = structlog.get_logger()
 
@@ -122,17 +122,17 @@ class SweepController:
                 log.info("trial_ended", sweep=sweep.id, trial=after.number, outcome=after.outcome)
         return found
 
-    def _seen(self, sweep: Sweep, trials: Iterable[Trial]) -> Sequence[Seen]:
+    def _seen(self, sweep: Sweep, trials: Iterable[Trial]) -> Sequence[SeenTrial]:
         if sweep.spec.pruning is None:
-            return [Seen(trial) for trial in trials]
+            return [SeenTrial(trial) for trial in trials]
         metric = sweep.spec.objectives[0].metric
         curves = self._curves.setdefault(sweep.id, Curves(self._store, self._objects))
         return [
-            Seen(trial, curves.read(trial.job, metric, has_ended=trial.outcome is not None))
+            SeenTrial(trial, curves.read(trial.job, metric, has_ended=trial.outcome is not None))
             for trial in trials
         ]
 
-    def _with_importance(self, sweep: Sweep, seen: Sequence[Seen]) -> Sweep:
+    def _with_importance(self, sweep: Sweep, seen: Sequence[SeenTrial]) -> Sweep:
         """The sweep with the importance of its axes, computed when another trial has succeeded."""
         number = sum(one.trial.outcome == "succeeded" and one.trial.has_values for one in seen)
         if number == sweep.num_judged:

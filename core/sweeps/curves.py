@@ -6,7 +6,7 @@ from core.errors import JobNotFound
 from core.jobs import feeds
 from core.jobs.store import JobStore
 from core.storage.objects import ObjectStore
-from core.sweeps.pruning import Curve
+from core.sweeps.sweep import Curve
 
 
 @dataclass

@@ -5,14 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from core.errors import Misconfigured
-from core.sweeps.advance import Seen
 from core.sweeps.spec import SweepSpec
+from core.sweeps.sweep import SeenTrial
 
 _LEAST_TRIALS = 4
 
 
 def importance(
-    spec: SweepSpec, seen: Sequence[Seen]
+    spec: SweepSpec, seen: Sequence[SeenTrial]
 ) -> tuple[Mapping[str, Mapping[str, float]] | None, str | None]:
     """By objective and axis; or None, and why: a sentence."""
     if spec.population is not None:
@@ -29,7 +29,7 @@ def importance(
         return None, error.detail
 
 
-def _by_ped_anova(spec: SweepSpec, succeeded: Sequence[Seen]) -> Mapping[str, Mapping[str, float]]:
+def _by_ped_anova(spec: SweepSpec, succeeded: Sequence[SeenTrial]) -> Mapping[str, Mapping[str, float]]:
     from core.sweeps import samplers
 
     optuna = samplers.optuna
@@ -44,5 +44,5 @@ def _by_ped_anova(spec: SweepSpec, succeeded: Sequence[Seen]) -> Mapping[str, Ma
     return found
 
 
-def _with_one_value(one: Seen, at: int) -> Seen:
+def _with_one_value(one: SeenTrial, at: int) -> SeenTrial:
     return replace(one, trial=one.trial.model_copy(update={"values": (one.trial.values[at],)}))

@@ -8,9 +8,7 @@ from collections.abc import Collection, Iterator, Mapping
 from statistics import median
 
 from core.sweeps.spec import HyperbandPruning, MedianPruning
-
-# The values of the objective by environment step.
-Curve = Mapping[int, float]
+from core.sweeps.sweep import Curve
 
 
 def is_to_prune(

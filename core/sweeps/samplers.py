@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 from pydantic import JsonValue
 
 from core.errors import Misconfigured
-from core.sweeps.advance import Seen
 from core.sweeps.axes import Values, last_value, position, value_at
 from core.sweeps.spec import Axis, Range, SweepSpec
-from core.sweeps.sweep import Trial
+from core.sweeps.sweep import SeenTrial, Trial
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -58,7 +57,7 @@ _STARTUP_TRIALS = 10
 _POPULATION = 20
 
 
-def ask(spec: SweepSpec, number: int, seen: Sequence[Seen]) -> Values:
+def ask(spec: SweepSpec, number: int, seen: Sequence[SeenTrial]) -> Values:
     """The values of trial `number`; the same records give the same values."""
     if spec.method == "qmc":
         return _sobol(spec, number)
@@ -96,7 +95,7 @@ def _sobol(spec: SweepSpec, number: int) -> Values:
     return {name: value_at(axis, float(share)) for (name, axis), share in axes}
 
 
-def _told(spec: SweepSpec, seen: Sequence[Seen], sampler: "BaseSampler") -> "Study":
+def _told(spec: SweepSpec, seen: Sequence[SeenTrial], sampler: "BaseSampler") -> "Study":
     """A study that asked for each trial that has values, in the order of their ends, and was told these.
 
     Asked so, CMA-ES and NSGA-II note the generation that each trial belongs to.
@@ -112,7 +111,7 @@ def _told(spec: SweepSpec, seen: Sequence[Seen], sampler: "BaseSampler") -> "Stu
     return study
 
 
-def study_of(spec: SweepSpec, seen: Sequence[Seen], sampler: Any = None) -> "Study":
+def study_of(spec: SweepSpec, seen: Sequence[SeenTrial], sampler: Any = None) -> "Study":
     """The sweep's trials as a study."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(directions=[one.direction for one in spec.objectives], sampler=sampler)
@@ -149,7 +148,7 @@ def _params(spec: SweepSpec, trial: Trial) -> dict[str, Any]:
     }
 
 
-def _frozen(spec: SweepSpec, space: dict[str, "BaseDistribution"], one: Seen) -> "FrozenTrial":
+def _frozen(spec: SweepSpec, space: dict[str, "BaseDistribution"], one: SeenTrial) -> "FrozenTrial":
     trial, state = one.trial, optuna.trial.TrialState
     said: dict[str, Any] = {"state": state.FAIL}
     if trial.outcome is None:

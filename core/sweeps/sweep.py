@@ -1,6 +1,7 @@
 """The records of a sweep and of its trials, as immutable values."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, Literal, Self
@@ -9,6 +10,9 @@ from pydantic import Field, JsonValue
 
 from core.documents import Stored
 from core.sweeps.spec import SweepSpec
+
+# The values of the objective by environment step.
+Curve = Mapping[int, float]
 
 
 class SweepStatus(StrEnum):
@@ -59,6 +63,18 @@ class Trial(Stored):
     def has_values(self) -> bool:
         """Whether it can be compared: it has a value for every objective."""
         return bool(self.values) and None not in self.values
+
+
+@dataclass(frozen=True)
+class SeenTrial:
+    """A trial as it is now. curve: the objective's values by step, read only for pruning."""
+
+    trial: Trial
+    curve: Curve = field(default_factory=dict[int, float])
+
+    @property
+    def is_over(self) -> bool:
+        return self.trial.outcome is not None
 
 
 class Sweep(Stored):

@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from core.sweeps.advance import End, Seen, Start, advance, why_no_more
+from core.sweeps.advance import End, Start, advance, why_no_more
 from core.sweeps.axes import Values, neighbours, scaled
 from core.sweeps.pbt import generations
 from core.sweeps.spec import Population, Range
-from core.sweeps.sweep import Sweep, SweepStatus, Trial
+from core.sweeps.sweep import SeenTrial, Sweep, SweepStatus, Trial
 from tests.unit.sweeps.making import sweep_of, trial_of
 
 RATE = "algorithm.learning_rate"
@@ -35,12 +35,12 @@ def steps_of(settings: Values) -> int:
     return steps
 
 
-def ended(number: int, value: float | None, **said: Any) -> Seen:
+def ended(number: int, value: float | None, **said: Any) -> SeenTrial:
     facts = {"outcome": "succeeded", "values": (value,), "steps": 333, "parameters": {RATE: 1e-3}}
-    return Seen(trial_of(number, **{**facts, **said}))
+    return SeenTrial(trial_of(number, **{**facts, **said}))
 
 
-def starts(sweep: Sweep, seen: list[Seen]) -> list[Start]:
+def starts(sweep: Sweep, seen: list[SeenTrial]) -> list[Start]:
     found = advance(sweep, seen, steps_of)
     assert all(isinstance(one, Start) for one in found)
     return [one for one in found if isinstance(one, Start)]
@@ -60,7 +60,7 @@ def test_the_first_generation_is_drawn_at_random_and_trains_the_first_part() -> 
 
 def test_a_generation_waits_for_all_of_the_one_before() -> None:
     seen = [ended(0, 1.0), ended(1, 2.0), ended(2, 3.0)]
-    assert advance(pbt_sweep(), [*seen, Seen(trial_of(3))], steps_of) == []
+    assert advance(pbt_sweep(), [*seen, SeenTrial(trial_of(3))], steps_of) == []
     # Two run at the same time: the generation that began is completed first.
     assert [one.number for one in starts(pbt_sweep(budget={"parallel": 2}), seen[:2])] == [2, 3]
 
@@ -158,10 +158,10 @@ def test_a_population_of_which_none_is_left_fails_in_a_sentence() -> None:
     sentence = "No trial of generation 0 has a value and a job to resume from: 1 failed, 3 succeeded."
     assert end == End(SweepStatus.FAILED, sentence)
     # Jobs may be deleted while a generation begins: what runs is waited for.
-    assert advance(pbt_sweep(), [*seen, Seen(trial_of(4))], steps_of) == []
+    assert advance(pbt_sweep(), [*seen, SeenTrial(trial_of(4))], steps_of) == []
 
 
-def cancelled(number: int) -> Seen:
+def cancelled(number: int) -> SeenTrial:
     return ended(number, None, outcome="cancelled", steps=100)
 
 
@@ -224,7 +224,7 @@ def test_the_same_records_give_the_same_decisions_whatever_was_begun_already() -
     assert starts(sweep, seen) == whole
     for begun in range(1, 6):
         running = [
-            Seen(Trial.model_validate({**vars(trial_of(one.number)), "parameters": one.parameters}))
+            SeenTrial(Trial.model_validate({**vars(trial_of(one.number)), "parameters": one.parameters}))
             for one in whole[:begun]
         ]
         assert starts(sweep, [*seen, *running]) == whole[begun:]

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from core.sweeps.advance import Seen
 from core.sweeps.importance import importance
 from core.sweeps.samplers import ask
+from core.sweeps.sweep import SeenTrial
 from tests.unit.sweeps.making import NOON, spec_of, trial_of
 
 RATE = "algorithm.learning_rate"
@@ -30,11 +30,11 @@ OTHERS = {
 }
 
 
-def tried(number: int, rate: float, **said: Any) -> Seen:
+def tried(number: int, rate: float, **said: Any) -> SeenTrial:
     """A trial whose value is best at a rate of 1e-3."""
     value = -abs(math.log10(rate) + 3)
     facts = {"parameters": {RATE: rate, **OTHERS}, "values": (value,), "outcome": "succeeded", **said}
-    return Seen(trial_of(number, **facts), {100: value})
+    return SeenTrial(trial_of(number, **facts), {100: value})
 
 
 def test_it_draws_where_values_were_good() -> None:
@@ -57,7 +57,7 @@ def test_every_outcome_is_understood_and_every_value_is_one_of_the_axis(method: 
         tried(11, 1e-2, outcome="failed", values=(None,)),
         tried(12, 1e-2, outcome="refused", values=()),
         tried(13, 1e-2, outcome="pruned"),
-        Seen(trial_of(14, parameters={RATE: 1e-2, **OTHERS}, outcome="pruned", values=(None,))),
+        SeenTrial(trial_of(14, parameters={RATE: 1e-2, **OTHERS}, outcome="pruned", values=(None,))),
         tried(15, 1e-2, outcome="succeeded", values=(None,)),
     ]
     for number in range(16, 26):
@@ -76,11 +76,11 @@ def swept(method: str, num_trials: int, objective: Any) -> list[tuple[float, ...
     """The last 20 trials' values, by the distances from 1 and from 0 on each axis; four run at a time."""
     axes = {name: {"low": -2.0, "high": 2.0} for name in "wxyz"}
     spec = spec_of(method=method, parameters=axes, budget={"jobs": num_trials}, objective=objective)
-    seen = list[Seen]()
+    seen = list[SeenTrial]()
     for first in range(0, num_trials, 4):
-        begun = list[Seen]()
+        begun = list[SeenTrial]()
         for number in range(first, first + 4):
-            begun.append(Seen(trial_of(number, parameters=ask(spec, number, [*seen, *begun]))))
+            begun.append(SeenTrial(trial_of(number, parameters=ask(spec, number, [*seen, *begun]))))
         for one in begun:
             at = [float(value) for value in one.trial.parameters.values()]  # pyright: ignore
             values = (-sum((x - 1) ** 2 for x in at), -sum(x**2 for x in at))[: len(spec.objectives)]
@@ -88,7 +88,7 @@ def swept(method: str, num_trials: int, objective: Any) -> list[tuple[float, ...
                 minutes=first, seconds=-one.trial.number
             )  # The last of four ends first.
             ended = {"outcome": "succeeded", "values": values, "finished_at": ended_at}
-            seen.append(Seen(one.trial.model_copy(update=ended)))
+            seen.append(SeenTrial(one.trial.model_copy(update=ended)))
     return [tuple(value or 0.0 for value in one.trial.values) for one in seen[-20:]]
 
 
@@ -147,7 +147,9 @@ def test_long_lists_cost_no_more_than_a_short_one() -> None:
     lists = {f"environment.options.x{n}": numbers for n in range(8)}
     spec = spec_of(method="random", parameters=lists, budget={"jobs": 1000})
     seen = [
-        Seen(trial_of(n, parameters=dict.fromkeys(lists, numbers[n]), outcome="succeeded", values=(n % 17,)))
+        SeenTrial(
+            trial_of(n, parameters=dict.fromkeys(lists, numbers[n]), outcome="succeeded", values=(n % 17,))
+        )
         for n in range(1000)
     ]
     importance(spec, seen[:10])  # Loads Optuna.
