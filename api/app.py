@@ -14,7 +14,7 @@ from core.configuration import read
 from core.jobs.queue import JobQueue
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
-from core.sweeps.store import SweepStore
+from core.sweeps.sweep import SweepStore
 
 _DESCRIPTION = """Train simulated bodies to walk: submit a training or a rollout, follow it, fetch its video.
 

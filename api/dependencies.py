@@ -19,7 +19,7 @@ from core.jobs.queue import JobQueue
 from core.jobs.store import ENTRY_ID, Channel, Entry
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
-from core.sweeps.store import SweepStore
+from core.sweeps.sweep import SweepStore
 
 _WATCHING_THREADS = 16
 

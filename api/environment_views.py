@@ -9,7 +9,7 @@ from core.algorithms.catalog import ALGORITHMS, environment_options, resolve, tu
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
 from core.rendering.camera import TRACK
-from core.sweeps.metrics import metrics_of
+from core.sweeps.results import metrics_of
 from gaitway.schema import EnvironmentDetails, EnvironmentView, SliceView
 
 

@@ -8,8 +8,7 @@ from typing import Any
 from core.jobs.job import Job, UnreadableJob
 from core.sweeps import pbt
 from core.sweeps.advance import num_trials
-from core.sweeps.groups import best, by_seed
-from core.sweeps.judging import judged
+from core.sweeps.results import best, by_seed, judged
 from core.sweeps.spec import SweepSpec
 from core.sweeps.sweep import Sweep, Trial
 from gaitway.schema import GroupView, SweepDetails, SweepView, TrialView

@@ -26,8 +26,7 @@ from core.errors import (
     TooManySweeps,
 )
 from core.jobs.job import Job, UnreadableJob, check_job_id
-from core.sweeps.life import cancel_sweep, delete_sweep, resume_sweep
-from core.sweeps.submission import submit_sweep
+from core.sweeps.actions import cancel_sweep, delete_sweep, resume_sweep, submit_sweep
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
 from gaitway.schema import SweepDetails, SweepView
 

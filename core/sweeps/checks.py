@@ -18,13 +18,22 @@ from core.jobs.submission import completed as completed_job
 from core.jobs.submission import with_environment
 from core.nearest import nearest
 from core.sweeps.advance import committed_steps, num_trials, why_no_more
-from core.sweeps.axes import Values, combinations, corners, grid_values, num_combinations, random_values
-from core.sweeps.fields import axis_place, fields_of, job_of, takes_fractions, with_values
-from core.sweeps.groups import SEED
-from core.sweeps.metrics import refusal_of_metric
-from core.sweeps.pbt import steps_until
-from core.sweeps.population_checks import problems_of_population
-from core.sweeps.sampler_checks import problems_of_sampler
+from core.sweeps.axes import (
+    Values,
+    axis_place,
+    combinations,
+    corners,
+    fields_of,
+    grid_values,
+    has_one_value,
+    job_of,
+    num_combinations,
+    random_values,
+    takes_fractions,
+    with_values,
+)
+from core.sweeps.pbt import problems_of_population, steps_until
+from core.sweeps.results import SEED, refusal_of_metric
 from core.sweeps.spec import MAX_TRIALS, Axis, Range, SweepSpec
 from core.sweeps.sweep import Trial
 
@@ -287,3 +296,21 @@ def _refuse(detail: str, pointer: str) -> None:
 def _raise(problems: Sequence[Problem]) -> None:
     if problems:
         raise Rejected(" ".join(dict.fromkeys(problem.detail for problem in problems[:5])), problems)
+
+
+def problems_of_sampler(spec: SweepSpec) -> Iterator[Problem]:
+    """Problems of a sweep by `cma_es`; the other samplers take every axis and any number of objectives."""
+    if spec.method != "cma_es":
+        return
+    if len(spec.objectives) > 1:
+        yield Problem("/objective", "`cma_es` follows one objective; give one, or take `tpe` or `nsga2`.")
+    lists = [name for name, axis in spec.parameters.items() if not isinstance(axis, Range)]
+    for name in lists:
+        detail = f"`cma_es` takes ranges alone, and `{name}` is a list; give a range, or take `tpe`."
+        yield Problem(axis_place(name), detail)
+    varied = [
+        axis for axis in spec.parameters.values() if isinstance(axis, Range) and not has_one_value(axis)
+    ]
+    if not lists and len(varied) < 2:
+        detail = "`cma_es` learns how axes depend on each other; give two ranges, or take `tpe`."
+        yield Problem("/parameters", detail)

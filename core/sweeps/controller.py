@@ -30,13 +30,11 @@ from core.jobs.spec import JobSpec, TrainSpec
 from core.jobs.store import Dispatch
 from core.storage.objects import ObjectStore
 from core.sweeps.advance import Cancel, Decision, End, Prune, Start, advance
+from core.sweeps.axes import job_of
 from core.sweeps.checks import steps_of
-from core.sweeps.curves import Curves
-from core.sweeps.fields import job_of
-from core.sweeps.importance import importance
-from core.sweeps.judging import judged
-from core.sweeps.store import SweepMark, SweepStore
-from core.sweeps.sweep import SeenTrial, Sweep, Trial
+from core.sweeps.pruning import Curves
+from core.sweeps.results import importance, judged
+from core.sweeps.sweep import SeenTrial, Sweep, SweepMark, SweepStore, Trial
 
 log = structlog.get_logger()
 

@@ -9,8 +9,7 @@ import pytest
 from core.errors import IdempotencyKeyReused, Rejected, StaleSweep, SweepNotFound
 from core.jobs.job import new_job_id
 from core.jobs.store import Dispatch, Idempotency
-from core.sweeps.store import SweepStore
-from core.sweeps.sweep import Sweep, SweepStatus
+from core.sweeps.sweep import Sweep, SweepStatus, SweepStore
 from tests.contract.recording import NOW, Database, at_once, queued_job
 from tests.unit.sweeps.making import sweep_of, trial_of
 

@@ -21,10 +21,9 @@ from core.jobs.status import JobStatus
 from core.jobs.store import Entry, Idempotency, JobQuery
 from core.reasons import Reason
 from core.storage import keys
+from core.sweeps.actions import cancel_sweep, resume_sweep, submit_sweep
 from core.sweeps.controller import SweepController
-from core.sweeps.life import cancel_sweep, resume_sweep
 from core.sweeps.spec import Budget, SweepSpec
-from core.sweeps.submission import submit_sweep
 from core.sweeps.sweep import SweepStatus
 from tests.faults.crashing import Crash, Died, Failure, Process
 from tests.unit.sweeps.making import spec_of
@@ -342,7 +341,7 @@ def test_no_more_sweeps_run_than_the_reconciler_looks_at(
     job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """M11."""
-    monkeypatch.setattr("core.sweeps.submission.MOST_ACTIVE", 2)
+    monkeypatch.setattr("core.sweeps.actions.MOST_ACTIVE", 2)
     spec = SPEC
     first = submit_sweep(spec, store=job_store, idempotency=(key := Idempotency("k", "body")))
     second = submit_sweep(spec, store=job_store)

@@ -19,8 +19,7 @@ from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound, TooMany
 from core.jobs.job import Job
 from core.jobs.store import Idempotency
 from core.sweeps.spec import SWEEP_SPEC
-from core.sweeps.store import SweepMark, SweepPage
-from core.sweeps.sweep import Sweep, SweepStatus, Trial
+from core.sweeps.sweep import Sweep, SweepMark, SweepPage, SweepStatus, Trial
 
 log = structlog.get_logger()
 

@@ -3,8 +3,7 @@
 from typing import Any
 
 from core.sweeps.spec import MAX_TRIALS
-from core.sweeps.store import SweepStore
-from core.sweeps.sweep import Trial
+from core.sweeps.sweep import SweepStore, Trial
 
 
 def fill(sweep_id: str, store: SweepStore) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from core.sweeps.importance import importance
+from core.sweeps.results import importance
 from core.sweeps.samplers import ask
 from core.sweeps.sweep import SeenTrial
 from tests.unit.sweeps.making import NOON, spec_of, trial_of

@@ -1,18 +1,36 @@
-"""The metrics that an objective may name."""
+"""The results of trials: the GPU hours that they used, and the metrics that an objective may name."""
 
 from collections.abc import Sequence
+from datetime import timedelta
 
 import jax
 import pytest
 
 from core.environments import catalog
+from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.physics.choose import engine_builder
-from core.sweeps.metrics import _terms, metrics_of, refusal_of_metric
+from core.reasons import Reason
+from core.sweeps.results import _terms, judged, metrics_of, refusal_of_metric
+from tests.unit.sweeps.making import JOB, NOON, sweep_of, trial_of
 
+HOUR = timedelta(hours=1)
 # The others take some seconds each.
 _QUICK = ("ant", "half_cheetah", "inverted_pendulum", "reacher")
 _TERMS = _terms()
+
+
+@pytest.mark.parametrize(
+    ("device", "gpus", "hours"),
+    [("gpu: H100", 1, 1.0), ("gpu: H100", 2, 2.0), ("cpu", 1, 0.0), (None, 1, 0.0)],
+    ids=["one gpu", "two gpus", "cpu", "nothing said"],
+)
+def test_gpu_hours_are_those_of_the_gpus_that_it_held(device: str | None, gpus: int, hours: float) -> None:
+    spec = JOB_SPEC.validate_python({**JOB, "resources": {"gpus": gpus}})
+    job = Job(id="019aa3c2f0b1-5be0c1d2e3", spec=spec, created_at=NOON).claimed("w", NOON)
+    job = job.running(device=device).requeued(Reason.WORKER_LOST, "", NOON + HOUR)
+    trial = judged(trial_of(0), job, sweep_of().spec.objectives, NOON + 2 * HOUR)
+    assert trial.gpu_hours == pytest.approx(hours)
 
 
 @pytest.mark.parametrize(
