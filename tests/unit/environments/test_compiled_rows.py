@@ -11,6 +11,7 @@ from core.errors import JobFailed
 from core.physics.compiled.refusal import check_covered, check_own, check_solver
 from core.physics.engine import CONSTANTS, Engine, SolverSettings
 from core.physics.model import with_solver_of_compiled
+from tests.extra import extra
 
 # Options that change the model, and not only the reward.
 CHANGED: list[tuple[str, dict[str, Any]]] = [
@@ -81,7 +82,7 @@ def refusal(asked: Asked) -> str | None:
 
 @pytest.mark.parametrize(
     ("environment", "options"),
-    [*((name, {}) for name, info in catalog.BUILT_IN.items() if not info.takes_model), *CHANGED],
+    [*((name, {}) for name, info in catalog.BUILT_IN.items() if not info.takes_model), *extra(*CHANGED)],
 )
 def test_a_row_refuses_what_its_model_has_and_the_engine_lacks_and_nothing_else(
     environment: str, options: dict[str, Any]

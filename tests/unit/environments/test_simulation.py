@@ -25,6 +25,7 @@ from core.environments.simulation import (
     as_xml,
 )
 from core.physics.choose import engine_builder
+from tests.extra import extra
 
 BODIES = ["ant", "half_cheetah", "hopper", "humanoid", "inverted_pendulum", "walker2d"]
 NUM_ENVS, NUM_STEPS = 20, 10
@@ -146,11 +147,12 @@ def check(environment: MujocoEnv) -> None:
         state = after
 
 
-@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("body", [BODIES[0], *extra(*BODIES[1:])])
 def test_a_simulation_gives_the_bodys_observation(body: str) -> None:
     check(of_the_catalog(body))
 
 
+@pytest.mark.extra
 def test_the_rats_simulation_is_without_its_skin() -> None:
     rodent = of_the_catalog("rodent")
     assert rodent.model.nskin == 1
@@ -164,7 +166,7 @@ CORRIDORS: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("options", CORRIDORS)
+@pytest.mark.parametrize("options", [CORRIDORS[0], *extra(*CORRIDORS[1:])])
 def test_a_corridors_simulation_says_what_is_ahead(options: dict[str, Any]) -> None:
     check(of_the_catalog("corridor", options))
 

@@ -97,6 +97,7 @@ def test_an_arm_may_be_missing() -> None:
     assert environment.discretization.state_discretizers["arm_role"].num_parts == 4
 
 
+@pytest.mark.extra
 def test_actions_reach_from_end_to_end_of_the_joints_ranges() -> None:
     # Servos of 20 Nm/rad that may pull with 3.75 Nm in an arm's first segment: at 45° and 30° from where the
     # joints are, 15.7 and 10.5 Nm are cut off at that. Torques are the same ends.
@@ -168,6 +169,7 @@ def test_its_row_names_what_its_states_tell() -> None:
         assert set(catalog.find(task).info) == set(state.info)
 
 
+@pytest.mark.extra
 def test_targets_differ_between_environments_and_stay_for_an_episode() -> None:
     environment = build(num_segments_per_arm=1)
     states = jax.vmap(environment.reset)(jax.random.split(jax.random.key(0), 200))
@@ -194,6 +196,7 @@ def test_what_indexers_read_says_where_the_target_is() -> None:
     assert environment.step(state, jnp.zeros(10)).info.keys() == info.keys()
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize(("walls", "furthest"), [("bound", 4.875), ("contacts", 4.9)])
 def test_walls_hold_it(walls: str, furthest: float) -> None:
     # Thrown at the wall of y = 5 m with 2 m/s, in water. The bound is a disk's radius, 0.125 m, before it,

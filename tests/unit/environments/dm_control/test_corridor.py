@@ -148,6 +148,7 @@ def test_lengths_are_what_the_options_say() -> None:
     assert ends[-1] == pytest.approx(14.0)
 
 
+@pytest.mark.extra
 def test_a_fall_into_a_gap_ends_the_episode_whatever_the_range() -> None:
     case = build(gap_length=(3.0, 3.0), platform_length=(1.0, 1.0), terminate_when_unhealthy=False)
     [_, second, *_] = obstacle_ends(case.model)
@@ -283,6 +284,7 @@ def _kind(model: mujoco.MjModel, geom: int) -> str:
     return "side" if model.geom_quat[geom][0] < 0.9 else "ground"
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("walker", ["rodent", "humanoid"])
 def test_the_other_walkers_stand_in_it_too(walker: Walker) -> None:
     case = build(walker, corridor_length=10)

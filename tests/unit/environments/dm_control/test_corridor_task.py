@@ -228,6 +228,7 @@ def test_every_engine_finds_the_contacts_that_native_finds(engine: EngineName, a
     assert 0 < sum(found[0]) < len(found[0])
 
 
+@pytest.mark.extra
 def test_the_looks_change_no_physics() -> None:
     models = {
         look: corridor_model(CorridorOptions(aesthetic=look, corridor_length=12))

@@ -21,6 +21,7 @@ from core.environments.dm_control.dm_control_import import without_a_display
 from core.errors import Rejected
 from core.physics.choose import engine_builder
 from core.physics.model import initial_qpos
+from tests.extra import extra
 
 # The classes that no corridor has, by the names under which they are refused. "dog" is no class.
 REFUSED = {"FruitFly": "fruitfly", "BoxHead": "box_head", "Humanoid": "soccer_humanoid"}
@@ -94,7 +95,7 @@ def test_a_row_is_what_dm_control_composes(walker: Walker) -> None:
     assert _foot_geoms(model, info.feet) == {f"walker/{geom.name}" for geom in theirs.ground_contact_geoms}
 
 
-@pytest.mark.parametrize("walker", list(WALKERS))
+@pytest.mark.parametrize("walker", ["ant", *extra(*(walker for walker in WALKERS if walker != "ant"))])
 def test_it_begins_where_the_table_says_and_is_healthy_there(walker: Walker) -> None:
     info = WALKERS[walker]
     model = corridor_model(CorridorOptions(walker=walker, arena="empty", corridor_length=10))
@@ -131,6 +132,7 @@ def test_one_ball_jumps_and_both_roll_forward(walker: Walker, least: float, most
     assert least < highest < most
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("walker", ["humanoid", "humanoid_2019"])
 def test_a_humanoid_with_servos_stands_on_for_a_second_under_actions_of_0(walker: Walker) -> None:
     assert steps_until_it_falls(walker) > 100
@@ -169,7 +171,7 @@ def test_a_humanoid_that_begins_sees_that_no_servo_pulls() -> None:
     np.testing.assert_array_equal(state.obs[-62:], np.zeros(62))
 
 
-@pytest.mark.parametrize("walker", ["ant", "rodent", "humanoid_2019_torque", "rolling_ball"])
+@pytest.mark.parametrize("walker", ["ant", *extra("rodent", "humanoid_2019_torque", "rolling_ball")])
 def test_an_action_of_the_others_is_their_control(walker: Walker) -> None:
     environment = corridor(walker)
     start = environment.reset(jax.random.key(0))

@@ -14,6 +14,7 @@ from core.environments.dm_control.corridor.environment import Corridor
 from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions
 from core.errors import Rejected
 from core.physics.choose import engine_builder
+from tests.extra import extra
 
 _SIDE = 12
 _ARENAS: list[dict[str, Any]] = [
@@ -42,7 +43,11 @@ def test_a_ray_meets_the_first_box_on_its_way() -> None:
     assert np.isinf(along(eye, rays, jnp.zeros((0, 2, 3)))).all()
 
 
-@pytest.mark.parametrize("options", _ARENAS, ids=lambda options: f"{options['walker']}-{options['arena']}")
+@pytest.mark.parametrize(
+    "options",
+    [_ARENAS[0], *extra(*_ARENAS[1:])],
+    ids=lambda options: f"{options['walker']}-{options['arena']}",
+)
 def test_each_pixel_has_the_depth_that_mujocos_rays_find(options: dict[str, Any]) -> None:
     environment = _built(**options)
     image, data = _image(environment, turned=jax.random.key(5))
@@ -52,6 +57,7 @@ def test_each_pixel_has_the_depth_that_mujocos_rays_find(options: dict[str, Any]
     np.testing.assert_allclose(image, _by_rays(environment.model, data), atol=2e-3)
 
 
+@pytest.mark.extra
 def test_an_episode_sees_its_own_layout() -> None:
     options: dict[str, Any] = {"arena": "walls", "wall_gap": (4.0, 8.0), "reset_noise_scale": 0.0}
     many = _built(num_layouts=2, **options)

@@ -133,6 +133,7 @@ def test_the_levels_go_from_the_curriculums_lengths_to_the_options_own() -> None
     assert gaps[-1] == len(obstacles(corridor_model(options(gap_length=[0.1, 0.3]))))
 
 
+@pytest.mark.extra
 def test_fresh_starts_follow_the_progress_and_by_default_are_those_of_the_end() -> None:
     environment = built(num_layouts=2, curriculum=options(curriculum=CURRICULUM).curriculum)
 
@@ -146,6 +147,7 @@ def test_fresh_starts_follow_the_progress_and_by_default_are_those_of_the_end() 
     assert levels(7.0) == {NUM_LEVELS - 1}
 
 
+@pytest.mark.extra
 def test_the_target_velocity_of_an_episode_is_that_of_its_level() -> None:
     begins = {"start": {"target_velocity": 0.5}, "over_steps": 1000}
     task = {"target_velocity": 2.0, "num_layouts": 2}
@@ -166,6 +168,7 @@ def test_the_target_velocity_of_an_episode_is_that_of_its_level() -> None:
     )
 
 
+@pytest.mark.extra
 def test_a_rollout_keeps_the_arena_of_each_episode() -> None:
     environment = built(num_layouts=3)
     episodes = rollout(

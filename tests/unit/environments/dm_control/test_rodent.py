@@ -147,6 +147,7 @@ def test_the_few_iterations_of_an_accelerator_move_it_as_many_do() -> None:
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-3)
 
 
+@pytest.mark.extra
 def test_buffers_of_warp_hold_a_rodent_that_falls_anyhow() -> None:
     model = rodent_model(0.002)
     room = capacity(measure(model, np.array([[0, geom] for geom in range(1, model.ngeom)])), 1)

@@ -130,6 +130,7 @@ def test_its_physics_is_chosen_by_an_option_and_by_no_engine() -> None:
     assert (spring.dt, spring.own_physics) == (pytest.approx(0.02), "brax spring")
 
 
+@pytest.mark.extra
 def test_environments_that_differ_are_beyond_its_physics() -> None:
     with pytest.raises(JobFailed, match="cannot randomize the model"):
         Brax("inverted_pendulum", "spring").reset(jax.random.PRNGKey(0), {"opt.gravity": jnp.zeros(3)})
