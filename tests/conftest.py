@@ -40,7 +40,7 @@ pytest_plugins = ["tests.durations", "tests.hypothesis_profiles", "tests.order"]
 def pytest_configure(config: pytest.Config) -> None:
     """Long tests run long enough to be compiled well; idle workers compile nothing beside the tests."""
     os.environ.setdefault("GAITWAY_PREPARE", "")
-    if "not slow" in config.option.markexpr:
+    if "not slow" in config.option.markexpr or config.option.markexpr == "extra":
         compile_quickly()
     keep_programs()
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

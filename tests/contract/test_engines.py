@@ -19,6 +19,7 @@ from core.physics.choose import engine_builder
 from core.physics.engine import DERIVED_FIELDS, Engine, PhysicsState, SolverSettings
 from core.physics.exact import of_parts
 from core.physics.model import brax_model, initial_qpos
+from tests.extra import extra
 
 NUM_SUBSTEPS = 3
 # A ball with an arm that falls on a floor: contacts, a tendon, sites, sensors, and an actuator with a state.
@@ -44,7 +45,6 @@ BODY = """
   </sensor>
 </mujoco>
 """
-MORE = [pytest.param(name, marks=pytest.mark.extra) for name in ("mjx", "warp")]
 INTEGRATED = ("time", "qpos", "qvel", "act", "qacc_warmstart")
 FRESH = tuple(name for name in DERIVED_FIELDS if name != "qfrc_actuator")
 
@@ -62,7 +62,7 @@ class JittedEngine:
     tolerance: float
 
 
-@pytest.fixture(scope="module", params=["native", *MORE, "compiled"])
+@pytest.fixture(scope="module", params=["native", "compiled", *extra("mjx", "warp")])
 def bench(request: pytest.FixtureRequest) -> JittedEngine:
     name: EngineName = request.param
     if name == "warp":
@@ -190,7 +190,7 @@ def test_many_environments_move_as_each_would_alone(bench: JittedEngine) -> None
             np.testing.assert_allclose(one, other, rtol=1e-4, atol=bench.tolerance * 0.1)
 
 
-@pytest.mark.parametrize("name", ["native", MORE[1], "compiled"])
+@pytest.mark.parametrize("name", ["native", "compiled", *extra("warp")])
 def test_environments_may_lie_on_two_axes(name: EngineName, request: pytest.FixtureRequest) -> None:
     # JAX itself sees to it for MJX; the other engines' callbacks are given both axes.
     if name == "warp":
@@ -236,7 +236,7 @@ def test_an_environment_that_breaks_is_not_a_number_and_its_neighbours_do_not_mi
         np.testing.assert_array_equal(after.qpos[index], fine.qpos[index])
 
 
-@pytest.mark.parametrize("name", ["native", MORE[1], "compiled"])
+@pytest.mark.parametrize("name", ["native", "compiled", *extra("warp")])
 def test_several_threads_may_use_one_engine(name: EngineName, request: pytest.FixtureRequest) -> None:
     if name == "warp":
         request.getfixturevalue("warp_kernels")
@@ -314,25 +314,21 @@ BODIES = [name for name, info in catalog.BUILT_IN.items() if not info.takes_mode
 COVERED = [body for body in BODIES if "compiled" not in catalog.BUILT_IN[body].cannot_run]
 LONG = [body for body in COVERED if body.startswith("brittle_star") or body == "rodent"]
 SMALL_STAR = {"num_arms": 3, "num_segments_per_arm": 2}
+FIRST = ("compiled", "ant")
 FAST = [
     ("mjx", "ant"),
     *(("warp", body) for body in ("ant", "humanoid", "rodent")),
-    *(("compiled", body) for body in COVERED if body not in LONG),
-]
-MORE_BODIES = [
-    pytest.param(engine, body, marks=pytest.mark.extra)
-    for engine, body in FAST
-    if (engine, body) != ("compiled", "ant")
+    *(("compiled", body) for body in COVERED if body not in (*LONG, "ant")),
 ]
 SLOW = [
     pytest.param(engine, body, marks=[pytest.mark.slow, pytest.mark.timeout(300)])
     for engine, bodies in (("mjx", BODIES), ("warp", BODIES), ("compiled", LONG))
     for body in bodies
-    if (engine, body) not in [*FAST, ("mjx", "rodent")]
+    if (engine, body) not in [FIRST, *FAST, ("mjx", "rodent")]
 ]
 
 
-@pytest.mark.parametrize(("name", "environment"), [("compiled", "ant"), *MORE_BODIES, *SLOW])
+@pytest.mark.parametrize(("name", "environment"), [FIRST, *extra(*FAST), *SLOW])
 def test_the_engines_move_every_body_alike(
     name: EngineName, environment: str, request: pytest.FixtureRequest
 ) -> None:

@@ -13,6 +13,7 @@ from core.errors import JobFailed
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.model import GEOMETRY
+from tests.extra import extra
 
 NUM_SUBSTEPS, NUM_STEPS = 5, 12
 # A ball over the first of three platforms, which stand on a body that is not at the origin, and is turned.
@@ -50,7 +51,6 @@ def other_boxes(begin: float, half: float, spacing: float) -> mujoco.MjModel:
 MODELS = [NOMINAL, other_boxes(-0.3, 0.8, 2.0), other_boxes(0.3, 0.4, 1.5), other_boxes(0.8, 0.4, 2.0)]
 # MJX takes half a minute to compile a body with contacts.
 SLOW_MJX = pytest.param("mjx", marks=[pytest.mark.slow, pytest.mark.timeout(300)])
-WARP = pytest.param("warp", marks=pytest.mark.extra)
 
 
 def fields_of(models: list[mujoco.MjModel]) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def fields_of(models: list[mujoco.MjModel]) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("name", ["native", SLOW_MJX, WARP, "compiled"])
+@pytest.mark.parametrize("name", ["native", "compiled", *extra("warp"), SLOW_MJX])
 def test_a_ball_moves_over_each_environments_own_boxes(
     name: EngineName, request: pytest.FixtureRequest
 ) -> None:

@@ -16,6 +16,7 @@ from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.engine import CONSTANTS, MODEL_FIELDS, Engine, PhysicsState
 from core.physics.model import GEOMETRY, model_field
+from tests.extra import extra
 
 NUM_SUBSTEPS, NUM_STEPS = 3, 10
 # A ball that slides on a floor, with an arm on which everything acts that a field below is about.
@@ -131,10 +132,9 @@ def fields_of(models: list[mujoco.MjModel]) -> dict[str, Any]:
 
 # MJX takes half a minute to compile a body with contacts.
 SLOW_MJX = pytest.param("mjx", marks=[pytest.mark.slow, pytest.mark.timeout(300)])
-WARP = pytest.param("warp", marks=pytest.mark.extra)
 
 
-@pytest.fixture(scope="module", params=["native", SLOW_MJX, WARP, "compiled"])
+@pytest.fixture(scope="module", params=["native", "compiled", *extra("warp"), SLOW_MJX])
 def bench(request: pytest.FixtureRequest) -> RandomizedEngine:
     name: EngineName = request.param
     if name == "warp":
@@ -167,7 +167,7 @@ def test_an_environment_moves_as_plain_mujoco_with_its_model_does(bench: Randomi
     np.testing.assert_allclose(bench.end.act[env], data.act, atol=bench.tolerance)
 
 
-@pytest.mark.parametrize("name", ["native", SLOW_MJX, WARP, "compiled"])
+@pytest.mark.parametrize("name", ["native", "compiled", *extra("warp"), SLOW_MJX])
 def test_derived_fields_are_those_of_each_environments_own_model(
     name: EngineName, request: pytest.FixtureRequest
 ) -> None:

@@ -1,6 +1,5 @@
 """One contract for both clients: every method against the real service, with the same results."""
 
-import inspect
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -85,14 +84,6 @@ def client(request: pytest.FixtureRequest, stack: Stack, portal: BlockingPortal)
     client = make(request.param, f"http://127.0.0.1:{stack.port}", portal)
     yield client
     client.close()
-
-
-def test_both_have_the_same_methods_with_the_same_parameters_and_descriptions() -> None:
-    assert {name for name in dir(AsyncClient) if not name.startswith("_")} - {"base_url"} == METHODS
-    for name in METHODS:
-        here, there = getattr(Client, name), getattr(AsyncClient, name)
-        assert inspect.signature(here).parameters == inspect.signature(there).parameters
-        assert here.__doc__ == there.__doc__
 
 
 def test_every_method_does_the_same(stack: Stack, client: Either, tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from gaitway.service.embedded.weed import Weed
 from gaitway.service.embedded.weed_environment import REGION
 from tests.api.conftest import NOWHERE, serving
 from tests.contract.recording import NOW, artifact, held, model, queued_job, say
+from tests.extra import extra
 from tests.faults.campaign.proxy import Proxy
 from tests.faults.campaign.volumes import flip_byte
 from tests.faults.test_flipped_bytes import proxied
@@ -63,9 +64,7 @@ def with_checkpoints(store: PostgresJobStore, objects: S3ObjectStore, bodies: di
     return claim
 
 
-@pytest.mark.parametrize(
-    "size", [100, *(pytest.param(size, marks=pytest.mark.extra) for size in (3 * MIB, 9 * MIB))]
-)
+@pytest.mark.parametrize("size", [100, *extra(3 * MIB, 9 * MIB)])
 def test_a_flipped_byte_in_the_volume_is_damage_within_seconds(
     weed: Weed, object_store: S3ObjectStore, size: int
 ) -> None:
@@ -177,15 +176,11 @@ def take_away(weed: Weed, objects: S3ObjectStore, key: str, body: bytes, how: st
             assert how == "slow"
 
 
-MORE_WAYS = [pytest.param(how, marks=pytest.mark.extra) for how in ("flipped", "shorter", "slow")]
-WAYS = ["lost", "other bytes", *MORE_WAYS]
-MORE_SOURCES = ("another's, to resume", "another's, to act")
+WAYS = ["lost", "other bytes", *extra("flipped", "shorter", "slow")]
 
 
 @pytest.mark.parametrize("how", WAYS)
-@pytest.mark.parametrize(
-    "of", ["its own", *(pytest.param(of, marks=pytest.mark.extra) for of in MORE_SOURCES)]
-)
+@pytest.mark.parametrize("of", ["its own", *extra("another's, to resume", "another's, to act")])
 def test_an_attempt_begins_with_the_checkpoint_before_in_seconds(
     weed: Weed,
     job_store: PostgresJobStore,
@@ -265,7 +260,7 @@ def with_file(store: PostgresJobStore, objects: S3ObjectStore, body: bytes) -> J
     return store.get(job.id)
 
 
-@pytest.mark.parametrize("size", [50_000, pytest.param(9 * MIB, marks=pytest.mark.extra)])
+@pytest.mark.parametrize("size", [50_000, *extra(9 * MIB)])
 def test_a_damaged_file_is_a_problem_of_its_own(
     weed: Weed, job_store: PostgresJobStore, object_store: S3ObjectStore, api: httpx.Client, size: int
 ) -> None:

@@ -17,6 +17,7 @@ from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
 from core.reasons import Reason
 from core.retry import retry_while_unavailable
+from tests.extra import extra
 from tests.faults.bench import Bench, wait_until
 from tests.faults.outages import Outages, Watch, pooled
 from worker.supervision import supervisor as supervisor_module
@@ -26,7 +27,6 @@ from worker.supervision.left_attempts import record_left
 LEASE = timedelta(seconds=2)
 # Of PostgreSQL, and of the object store.
 OF_RECORDS, OF_OBJECTS = ("silence", "absence"), ("silent objects", "absent objects")
-MORE = [pytest.param(name, marks=pytest.mark.extra) for name in ("absence", "silent objects")]
 
 
 class Disturbed(Bench):
@@ -106,7 +106,7 @@ def bench(tmp_path: Path, postgres: Outages, monkeypatch: pytest.MonkeyPatch) ->
     bench.close()
 
 
-@pytest.mark.parametrize("name", ["silence", "absent objects", *MORE])
+@pytest.mark.parametrize("name", ["silence", "absent objects", *extra("absence", "silent objects")])
 def test_training_goes_on_and_its_results_are_stored_afterwards(name: str, bench: Disturbed) -> None:
     job = bench.submit(max_attempts=1)
     with bench.watched(), bench.working(job, "is_filmed"), bench.outage(name):
@@ -155,7 +155,7 @@ def test_a_drain_without_the_object_store_gives_the_job_back_within_the_grace_ti
 
 
 @pytest.mark.usefixtures("hurried")
-@pytest.mark.parametrize("name", ["silence", MORE[0]])
+@pytest.mark.parametrize("name", ["silence", *extra("absence")])
 def test_a_drain_without_postgresql_is_told_by_the_next_worker_and_costs_no_attempt(
     name: str, bench: Disturbed
 ) -> None:

@@ -5,15 +5,6 @@ from core.jobs.status import JobStatus
 from gaitway.schema import FINAL_STATUSES
 
 
-def test_the_client_needs_neither_the_cli_nor_the_numerical_stack() -> None:
-    # None in sys.modules makes an import fail. (httpx itself takes rich where it is installed.)
-    absent = ["typer", "rich", "click", "jax", "numpy", "mujoco", "redis", "fastapi", "core"]
-    absent += ["IPython", "pandas", "polars"]
-    code = f"import sys; sys.modules.update(dict.fromkeys({absent})); import gaitway; print(gaitway.Client('http://x'))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.stdout.strip(), done.stderr) == ("Client('http://x')", "")
-
-
 def test_a_policy_without_the_numerical_stack_is_refused_with_what_to_install() -> None:
     code = (
         "import sys; from pathlib import Path; sys.modules['jax'] = None\n"

@@ -16,6 +16,7 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.errors import EXIT_STATUS, Misconfigured
 from core.jobs.workers import WorkerInfo
 from core.settings import WorkerSettings
+from tests.extra import extra
 from tests.unit.worker.environments import environment
 from worker.fleet import Member
 
@@ -75,7 +76,7 @@ def fleet(settings: WorkerSettings, job_store: PostgresJobStore, log: Path) -> I
     fleet.process.wait(10)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.extra)])
+@pytest.mark.parametrize("number", [signal.SIGTERM, *extra(signal.SIGINT)])
 def test_a_signal_to_the_fleet_ends_all_its_workers_and_it_waits_for_them(
     fleet: Fleet, number: signal.Signals
 ) -> None:

@@ -26,6 +26,7 @@ from core.storage import keys
 from core.user_models import library
 from core.user_models.record import Description
 from tests import models
+from tests.extra import extra
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
 from worker.confinement.limits import Limits
@@ -208,15 +209,12 @@ def test_what_engines_would_leave_out_is_said_at_once(tmp_path: Path) -> None:
     ("body", "sentence"),
     [
         (XML.replace(b'joint="elbow"', b'joint="knee"'), "MuJoCo cannot compile the model: Error: unknown"),
-        *(
-            pytest.param(body, sentence, marks=pytest.mark.extra)
-            for body, sentence in (
-                (XML.replace(b"<mujoco>", b'<mujoco><size memory="900G"/>'), "memory"),
-                (XML.replace(b'mass="0.1"', b'mass="1e309"'), "number is too large"),
-                (b'<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "document type"),
-                (b'<mujoco><include file="/etc/hostname"/></mujoco>', "send both in a zip"),
-                (zipped({"model.xml": XML, "m.stl": b"\0" * 2**22}), "times its size"),
-            )
+        *extra(
+            (XML.replace(b"<mujoco>", b'<mujoco><size memory="900G"/>'), "memory"),
+            (XML.replace(b'mass="0.1"', b'mass="1e309"'), "number is too large"),
+            (b'<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "document type"),
+            (b'<mujoco><include file="/etc/hostname"/></mujoco>', "send both in a zip"),
+            (zipped({"model.xml": XML, "m.stl": b"\0" * 2**22}), "times its size"),
         ),
     ],
 )
