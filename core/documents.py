@@ -15,12 +15,12 @@ class _Value(BaseModel):
 
 
 class Strict(_Value):
-    """What a client sends: an unknown field is a typo, NaN is a mistake, `"3"` is not a number."""
+    """A document from a client: an unknown field is a typo, NaN is a mistake, `"3"` is not a number."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
 
 class Stored(_Value):
-    """What we wrote ourselves, perhaps with an older or newer version: unknown fields are ignored."""
+    """A document of our own, perhaps of an older or newer version: unknown fields are ignored."""
 
     model_config = ConfigDict(extra="ignore")

@@ -15,8 +15,8 @@ JOB: dict[str, Any] = {
         "id": "corridor",
         "options": {"walker": "ant", "arena": "gaps", "gap_length": [0.05, 0.2], "num_next_obstacles": 2},
     },
-    # What is left out takes the values tuned for this body and the worker's device: on a CPU 3 M steps, five
-    # minutes on two cores, after which it runs at 1.5 m/s and more but falls often; 30 M steps on a GPU.
+    # A setting that is left out takes the value tuned for this body and the worker's device: on a CPU 3 M
+    # steps, five minutes on two cores, after which it runs at 1.5 m/s and more but falls often; a GPU: 30 M.
     "algorithm": {"kind": "ppo"},
     "video": {"cameras": ["track", "walker/sideon"], "seconds": 10},
 }

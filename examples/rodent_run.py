@@ -12,7 +12,7 @@ JOB: dict[str, Any] = {
     "kind": "train",
     "name": "a rodent runs",
     "environment": "rodent",
-    # What is left out, the budget too, takes the values tuned for this body and the worker's device.
+    # A setting that is left out, the budget too, takes the value tuned for this body and the worker's device.
     "algorithm": {"kind": "ppo"},
     "video": {"camera": "track", "seconds": 10},
 }

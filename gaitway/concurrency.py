@@ -1,4 +1,4 @@
-"""What the two clients do differently: `AsyncClient` awaits, `Client` waits in its thread.
+"""The differences between the two clients: `AsyncClient` awaits, `Client` waits in its thread.
 
 `.ci/make_client.py` makes `gaitway.client` from `gaitway.async_client`; it drops `async_` from these names.
 """

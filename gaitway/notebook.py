@@ -1,4 +1,4 @@
-"""What a notebook shows of a job. IPython is imported where something is shown live."""
+"""A job in a notebook. IPython is imported where something is shown live."""
 
 import base64
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ _COLOURS = {"succeeded": "#1a7f37", "failed": "#c62828", "cancelled": "#9a6700"}
 
 @dataclass(frozen=True)
 class Card:
-    """What was fetched for it. returns: so far; video: an MP4. problem: why something is missing."""
+    """The fetched parts of a job. returns: so far; video: an MP4. problem: why something is missing."""
 
     returns: Sequence[float] = ()
     video: bytes | None = None

@@ -1,4 +1,4 @@
-"""What a client makes of answers: pages of lists, and events."""
+"""The client's forms of answers: pages of lists, and events."""
 
 import json
 from collections.abc import Iterator

@@ -27,7 +27,7 @@ FORMAT = 1
 _NEWEST_ALONE = ("checkpoint", "video", "poster")
 # Roles whose content is in the zip already, in a form that every program reads.
 _LEFT_OUT = ("metrics", "log", "tensorboard", "wandb")
-# What every training that ended well has.
+# Every training that ended well has these.
 _EXPECTED = {"train": ("checkpoint", "policy", "video"), "rollout": ("trajectory", "video")}
 _README = (
     "This is {what}, job {id} of a Gaitway service; contents.json lists all files with their SHA-256, and "

@@ -5,7 +5,7 @@ The notebook trains the hopper and the walker by SAC; theirs are this project's 
 
 from typing import Any
 
-# What the notebook leaves out is Brax's default.
+# A setting that the notebook leaves out has Brax's default.
 _SHARED: dict[str, Any] = {
     "num_envs": 2048,
     "unroll_length": 20,

@@ -1,4 +1,4 @@
-"""What recovery costs: killed workers, damaged checkpoints, outages; a campaign of faults; hours of jobs.
+"""The cost of recovery: killed workers, damaged checkpoints, outages; a campaign of faults; hours of jobs.
 
 `--kinds` runs the campaign alone: `--kinds faults outages --worlds 2 --first 0 --seeds 1000`.
 """

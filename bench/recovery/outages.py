@@ -1,4 +1,4 @@
-"""What a running job loses when one store is away for ten minutes.
+"""The work that a running job loses when one store is away for ten minutes.
 
 Six services with real servers and the default times run side by side, each with a training of one step a
 second; in each, one store refuses connections or does not answer. A step is lost when its row of metrics is

@@ -78,7 +78,7 @@ def _figures(costs: Sequence[_Cost]) -> Iterator[Figure]:
 
 
 def _idle_cpu_s(parts: Parts, waits: "Waits") -> float:
-    """What the API takes for a request for `/healthz`, with nothing else to do."""
+    """The API's seconds for a request for `/healthz`, with nothing else to do."""
     before, began = parts.cpu_s("api"), time.monotonic()
     time.sleep(_IDLE_S)
     used, ended = parts.cpu_s("api") - before, time.monotonic()

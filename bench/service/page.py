@@ -147,7 +147,7 @@ def _api_share(parts: Parts, work: Callable[[], None]) -> float:
 
 
 def _reading_lists(url: str, _: JobStore, readers: int, seconds: float) -> None:
-    """What open lists ask: a page of jobs every two seconds each."""
+    """Ask as open lists do: each for a page of jobs every two seconds."""
     end = time.monotonic() + seconds
     with httpx.Client(base_url=url, timeout=30, trust_env=False) as http:
         while (began := time.monotonic()) < end:

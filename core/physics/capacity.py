@@ -43,7 +43,7 @@ def capacity(demand: Demand, num_worlds: int) -> Capacity:
 
 
 def measure(model: mujoco.MjModel, pairs: NDArray[np.integer], *, seed: int = 0) -> Demand:
-    """What a few worlds need while random controls move them from the start of an episode.
+    """The capacities that a few worlds need while random controls move them from the start of an episode.
 
     In every other trial each control is at one of its ends, where a learning policy often holds it.
     pairs: [P, 2], the geoms that may touch. C MuJoCo steps the worlds on the host: a few simulated seconds,

@@ -62,7 +62,7 @@ class _Builder:
 
 
 def engine_builder(name: EngineName) -> EngineBuilder:
-    """What an environment calls to get its engine.
+    """The function that an environment calls to get its engine.
 
     Building raises JobFailed if the worker lacks the engine, or the engine cannot run the model.
     """

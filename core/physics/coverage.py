@@ -1,4 +1,4 @@
-"""What a model has that an engine would leave out in silence, or get wrong; found before the engine is built.
+"""The parts of a model that an engine would leave out in silence, or get wrong; found before it is built.
 
 The other engines' rules; `compiled.coverage` has those of `compiled`. What an engine itself refuses to load
 is not repeated here.

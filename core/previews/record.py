@@ -37,7 +37,7 @@ class PreviewRequest(Stored):
 
     @property
     def subject(self) -> str:
-        """What the stills show: a user's model, or an environment."""
+        """The subject of the stills: a user's model, or an environment."""
         return self.model or self.environment
 
 

@@ -75,7 +75,7 @@ def draw(
 
 
 def _called(camera: str | int, names: Sequence[str]) -> str:
-    """What a picture says of its camera; by number if it has no name, or that of the one that is ours."""
+    """A picture's caption of its camera: its name, or its number where it has none or our own."""
     if isinstance(camera, str):
         return camera
     return f"camera {camera}" if names[camera] in ("", TRACK) else names[camera]
@@ -84,7 +84,7 @@ def _called(camera: str | int, names: Sequence[str]) -> str:
 def _moments(
     grid: PictureGrid, model: mujoco.MjModel, motions: Sequence[Motion], request: RenderRequest
 ) -> list[Moment]:
-    """What is shown in one place: these episodes one after another, a moment for each frame."""
+    """The frames of one place: these episodes one after another, a moment for each frame."""
     return [
         moment
         for shot in shots(model, motions, fps=request.fps, seconds=request.seconds)

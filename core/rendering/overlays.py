@@ -1,4 +1,4 @@
-"""What a picture may show besides the body; the API reads the names, so nothing numerical is imported."""
+"""The overlays of a picture by name; the API reads them, so nothing numerical is imported."""
 
 from typing import Literal
 

@@ -27,7 +27,7 @@ _SKY_COLOURS = ((0.80, 0.88, 0.96), (0.36, 0.54, 0.78))
 
 @dataclass(frozen=True)
 class Quality:
-    """What a picture may cost. samples: per pixel, for smooth edges; shadow_pixels: the shadow map's side."""
+    """A picture's cost. samples: per pixel, for smooth edges; shadow_pixels: the shadow map's side."""
 
     samples: int
     shadow_pixels: int

@@ -10,7 +10,7 @@ from typing import IO, Protocol
 
 @dataclass(frozen=True)
 class ObjectInfo:
-    """What the store knows about an object without reading it. size: bytes.
+    """The facts that the store knows about an object without reading it. size: bytes.
 
     modified_at: when it was put, by the store's clock; None if the store does not say.
     """

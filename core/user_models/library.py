@@ -30,7 +30,7 @@ def source(model_id: str, objects: ObjectStore) -> bytes:
     return read_whole(keys.model_source(model_id), model_id.removeprefix("sha256:"), objects)
 
 
-def add(  # noqa: PLR0913 # What was sent, and where it goes.
+def add(  # noqa: PLR0913 # All but the file are named.
     file: Path,
     sha256: str,
     media_type: str,

@@ -1,4 +1,4 @@
-"""What the commands share: the client, job names, JSON."""
+"""The commands' common parts: the client, job names, JSON."""
 
 import json
 import sys

@@ -51,7 +51,7 @@ class Compared:
         return cls(job, dict(flat(client.specification(full_id))), values)
 
     def facts(self) -> dict[str, Cell]:
-        """What the job came to; None where it has no such number."""
+        """The job's result; None where it has no such number."""
         facts: dict[str, Cell] = {"status": self.job.status}
         for label, names in _METRICS.items():
             found = next((self.values[name] for name in names if self.values[name]), None)

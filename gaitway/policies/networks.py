@@ -133,7 +133,7 @@ def normalized(observation: jax.Array, mean: Any, std: Any, bound: float | None)
 
 
 def network(layers: list[tuple[Any, Any]], values: jax.Array, activation: Activation) -> jax.Array:
-    """What a multilayer perceptron puts out."""
+    """The output of a multilayer perceptron."""
     for kernel, bias in layers[:-1]:
         values = activation(values @ kernel + bias)
     kernel, bias = layers[-1]

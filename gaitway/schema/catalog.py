@@ -1,4 +1,4 @@
-"""What a job may name: environments and users' own models; their stills, and the workers that run jobs."""
+"""Environments and users' own models, which a job may name; their stills, and the workers that run jobs."""
 
 from collections.abc import Mapping
 from datetime import datetime

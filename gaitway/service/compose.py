@@ -57,7 +57,7 @@ def setup(folder: Path, environ: Mapping[str, str], database_password: Path = DA
         file = folder / name.lower()
         if name in wanted:
             write_private(file, wanted[name])
-        else:  # What the user has named since then must not be mixed with our old values.
+        else:  # Settings that the user has named since then must not be mixed with our old values.
             file.unlink(missing_ok=True)
 
 

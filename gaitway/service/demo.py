@@ -31,7 +31,7 @@ _ANT_LEARNS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """What the user asked for."""
+    """The demo's options."""
 
     out: Path
     environment: str

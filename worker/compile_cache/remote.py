@@ -15,7 +15,7 @@ from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore
 from worker.compile_cache.local import is_whole, names, write_out
 
-# What one job downloads at most, the newest first: a large store must not fill a laptop.
+# One job downloads at most so many, the newest files first: a large store must not fill a laptop.
 _MAX_FETCHED_BYTES = 2**28
 # Warp makes a hundred small files for a body, and a store may be far away.
 _AT_ONCE = 8

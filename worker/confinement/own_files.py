@@ -34,7 +34,7 @@ _CACHES = (
     *(".cache/mesa_shader_cache", ".cache/mesa_shader_cache_db", ".cache/nvidia"),
 )
 _NAMED_CACHES = ("CUDA_CACHE_PATH", "JAX_COMPILATION_CACHE_DIR", "MPLCONFIGDIR", "WARP_CACHE_PATH")
-# What root keeps: capabilities for files, which Landlock limits, for pinned memory and for threads'
+# Root keeps capabilities for files, which Landlock limits, for pinned memory and for threads'
 # priorities. With others, it could read another process's memory.
 _CAPABILITIES = (0, 1, 3, 4, 14, 23)
 _NAMED_LIBRARIES = ("LD_LIBRARY_PATH", "CUDA_HOME", "CUDA_PATH")

@@ -41,7 +41,7 @@ def _attempt(request: RenderRequest, backend: Backend, timeout_s: float) -> Rend
             {**os.environ, **backend.environ},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            in_own_session=False,  # What ends a training ends its video.
+            in_own_session=False,  # A signal that ends a training ends its video.
         ) as child:
             try:
                 output, errors = collect(child, timeout_s)

@@ -59,7 +59,7 @@ _POLL_S = 0.1
 _COMPILED = ("compile", "first_update")
 # How long finished work waits for an unavailable store before the attempt is given up.
 _STORAGE_TIMEOUT_S = 86_400.0
-# What is stored last gets at least this time, even if the training process has used up the grace time.
+# The last uploads get at least this time, even if the training process has used up the grace time.
 _LAST_S = 3.0
 
 

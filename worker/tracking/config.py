@@ -34,7 +34,7 @@ def as_submitted(job_id: str, spec: TrainSpec) -> dict[str, Any]:
 
 
 def as_resolved(device: str | None, engine: str | None, details: dict[str, Any]) -> dict[str, Any]:
-    """What an attempt runs on, and its hyperparameters: each flat, and all of them as `algorithm`."""
+    """An attempt's machine and hyperparameters: each flat, and all of them as `algorithm`."""
     facts = {name: value for name, value in details.items() if name != "hyperparameters"}
     facts |= {"device": device, "engine": engine}
     if "hyperparameters" not in details:

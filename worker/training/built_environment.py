@@ -26,7 +26,7 @@ from core.reasons import Reason
 from worker.protocol import Started, Task
 from worker.training.compilations import keep_machine_code, keep_programs, keep_warp_kernels
 
-# What an engine needs besides MuJoCo and MJX, by the names of the package index.
+# The packages that an engine needs besides MuJoCo and MJX, by the names of the package index.
 _ENGINES_PACKAGES = {"warp": ("warp-lang",), "compiled": ("llvmlite",)}
 
 

@@ -1,4 +1,4 @@
-"""What the page needs to step a trained body itself, as `simulation.json` (docs/push.md)."""
+"""The physics with which the page steps a trained body itself: `simulation.json` (docs/push.md)."""
 
 import json
 from typing import Any

@@ -72,7 +72,7 @@ def train(
 
 
 class FollowedRun(Protocol):
-    """What a training asks of its run: see `core.algorithms.run.Run`, and `SeedsRun`."""
+    """The run as a training uses it: see `core.algorithms.run.Run`, and `SeedsRun`."""
 
     @property
     def step(self) -> int: ...
@@ -87,7 +87,7 @@ class FollowedRun(Protocol):
     def tables(self) -> Mapping[str, NDArray[Any]]: ...
 
 
-def _follow(  # What runs, and what is done with it.
+def _follow(  # the run, and its receivers
     run: FollowedRun,
     files: PolicyFiles,
     videos: PolicyVideos | None,

@@ -75,8 +75,8 @@ def _of_the_default_reward(model: mujoco.MjModel) -> Iterator[str]:
 
 
 def _judged_by_reading(model: mujoco.MjModel) -> dict[EngineName, str | None]:
-    """What reading the model shows, without loading an engine: `native` and `compiled` are then known, and
-    what the others would leave out in silence."""
+    """The findings of reading the model, without loading an engine: what `native` and `compiled` do, and what
+    the others would leave out in silence."""
     engines: dict[EngineName, str | None] = {
         "native": what_keeps(partial(check_runs, "native"), model),
         "compiled": what_keeps(check_covered, model),

@@ -1,4 +1,4 @@
-"""What a model has that the stages do not compute, found before any code is made."""
+"""The parts of a model that the stages do not compute, found before any code is made."""
 
 from collections.abc import Callable, Iterator, Sequence
 

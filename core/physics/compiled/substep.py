@@ -65,7 +65,7 @@ class Model:
 
 @dataclass(frozen=True)
 class State:
-    """What a substep begins with. qpos: [nq]. qvel: [nv]. act: [na]. qacc: [nv], the last substep's."""
+    """The state before a substep. qpos: [nq]. qvel: [nv]. act: [na]. qacc: [nv], the last substep's."""
 
     qpos: Vector
     qvel: Vector

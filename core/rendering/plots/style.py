@@ -1,4 +1,4 @@
-"""What all plots share: size, grid, and colours that colour-blind readers can tell apart."""
+"""The look of all plots: size, grid, and colours that colour-blind readers can tell apart."""
 
 import os
 from pathlib import Path

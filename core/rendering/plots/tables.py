@@ -1,4 +1,4 @@
-"""What a tabular agent has learnt and visited: heat maps of states by actions."""
+"""A tabular agent's values and visits: heat maps of states by actions."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

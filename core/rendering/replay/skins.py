@@ -10,7 +10,7 @@ from core.rendering.replay.glb import Glb
 from core.rendering.replay.materials import Materials
 from core.rendering.replay.shapes import Floats
 
-# What glTF's viewers support; the weights of a point's further bones are shared among its heaviest.
+# glTF's viewers support so many; the weights of a point's further bones go to its heaviest.
 _BONES_PER_POINT = 4
 
 

@@ -54,7 +54,7 @@ _OPTIONS = {
 # synchronous_commit stays on: it costs nothing without fsync, and keeps the commits of a killed server.
 _NOT_DURABLE = {"fsync": "off", "full_page_writes": "off"}
 
-# What the first role made in its database, as the only one there was. A table's own sequences go with it.
+# Hands over the objects of the role that made the database. A table's own sequences go with it.
 _HAND_OVER_OBJECTS = f"""
 DO $$ DECLARE command text; BEGIN
   FOR command IN

@@ -9,7 +9,7 @@ from gaitway.service.embedded.interruption import Interrupted
 from gaitway.service.embedded.processes import ServerFailed
 from gaitway.service.embedded.stack import Stack
 
-# What most people try first.
+# Most people train this environment first.
 _PREPARED = "ant"
 
 

@@ -64,7 +64,7 @@ def says_spacing(model: mujoco.MjModel) -> bool:
 
 
 def box_spacing(model: mujoco.MjModel) -> tuple[float, ...]:
-    """What the model says of it."""
+    """The box as the model has it."""
     if not says_spacing(model):
         raise ValueError(f"The model has no numeric {_SPACING}.")
     return tuple(float(x) for x in model.numeric(_SPACING).data)

@@ -285,7 +285,7 @@ class _Fold:
             self._limb(variable, kind.lane, self.forms.number("carried", *described))
 
     def _end(self, loop: Loop) -> None:
-        """What comes after a repetition must be alike where the variables are."""
+        """The steps after a repetition must be alike where the variables are."""
         ends: dict[int, tuple[int, int]] = {}
         inside = {one.target for one in assigns(loop.body)}
         for variable, _, after in loop.carried:

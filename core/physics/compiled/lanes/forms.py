@@ -1,4 +1,4 @@
-"""What operations of alike limbs share."""
+"""The parts that operations of alike limbs share."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field

@@ -10,7 +10,7 @@ from core.physics.compiled.lanes.limbs import Limbs
 from core.physics.compiled.program.program import Program, Symbol
 from core.physics.compiled.substep import Model
 
-# What the fields of parts of limbs begin with.
+# The fields of parts of limbs begin with these.
 _BY_PARTS = ("body", "dof", "geom", "jnt")
 
 

@@ -80,7 +80,7 @@ def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[Actuator,
 
 
 def driven(tree: Tree, actuators: tuple[Actuator, ...], state: ActuatorState, timestep: float) -> Driven:
-    """What the actuators do in a timestep."""
+    """The actuators in a timestep."""
     found = Driven([], [0.0] * len(state.qvel), list(state.act), [])
     if not actuators:
         return found
