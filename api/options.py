@@ -5,7 +5,7 @@ from pydantic import JsonValue, TypeAdapter, ValidationError
 from core.environments import catalog
 from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
-from core.jobs.checks import chosen
+from core.jobs.resolved import resolve_environment
 from core.jobs.spec import EnvironmentSpec
 from core.user_models.store import ModelStore
 
@@ -43,6 +43,6 @@ def info_under(environment_id: str, options: str | None, store: ModelStore) -> E
         return info
     environment = EnvironmentSpec(id=environment_id, options=parse_options(options))
     try:
-        return chosen(environment, store)[0]
+        return resolve_environment(environment, store)[0]
     except Rejected as refusal:
         raise in_the_query(refusal) from None

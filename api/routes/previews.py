@@ -27,10 +27,10 @@ from core.errors import (
     StorageUnavailable,
     TooManyPreviews,
 )
-from core.jobs.checks import chosen
 from core.jobs.job import Artifact
 from core.jobs.own_model import model_of
 from core.jobs.queue import looks_at_models
+from core.jobs.resolved import resolve_environment
 from core.jobs.spec import EnvironmentSpec
 from core.previews import library
 from core.previews.record import Preview, PreviewRequest, Still
@@ -148,7 +148,7 @@ def _wanted(
     catalog.find(environment_id)
     environment = EnvironmentSpec(id=environment_id, options=parse_options(asked.options))
     try:
-        info, options = chosen(environment, service.store)
+        info, options = resolve_environment(environment, service.store)
         cameras = camera_choices(info.cameras)
         camera = None if asked.camera is None else _camera(asked.camera, info.cameras)
     except Rejected as refusal:

@@ -21,10 +21,10 @@ from core.algorithms.catalog import reported
 from core.bounds import MOST_METRICS
 from core.environments import catalog
 from core.errors import BadExport, EnvironmentNotFound, ModelNotFound, Rejected
-from core.jobs.checks import chosen
 from core.jobs.filled_in import filled_in
 from core.jobs.importing import ImportedFile, Run
 from core.jobs.job import Artifact, Attempt, Job, Origin, Progress, new_job_id
+from core.jobs.resolved import resolve_environment
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, status_entry
@@ -160,7 +160,7 @@ def _check_job(job: Job, service: Service) -> None:
     try:
         if catalog.find(environment.id).takes_model:
             library.find(str(environment.options.get("model")), service.store)
-        chosen(environment, service.store)
+        resolve_environment(environment, service.store)
         for attempt in job.attempts:
             if "hyperparameters" in attempt.details:
                 reported(attempt.details["hyperparameters"])

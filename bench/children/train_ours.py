@@ -16,22 +16,21 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[steps, seconds of training until then], …]; curve: [[steps, value of the mark's metric, or
     the return, seconds from the call], …]; reached_s: of them, at the mark, or null; reached_at: the hour of
     that; first_update_s and ended_s: from the call; engine."""
-    from pydantic import TypeAdapter
-
-    from core.algorithms.catalog import AlgorithmSpec, resolve
     from core.algorithms.events import Evaluated, Phase, Progress
     from core.algorithms.run import make_run
     from core.algorithms.seeds import make_seeds_run
     from core.environments import catalog
+    from core.jobs.resolved import resolve_job
+    from core.jobs.spec import TrainSpec
     from core.physics.choose import engine_builder
 
     mark, device = request["mark"], request["device"]
-    info, options = catalog.resolve(request["environment"], request["options"])
-    wanted = TypeAdapter[Any](AlgorithmSpec).validate_python(request["settings"])
-    settings = resolve(wanted, info, device)
+    body = {"id": request["environment"], "options": request["options"]}
+    job = resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": request["settings"]}))
+    info, settings = job.info, job.settings_on(device)
     engine = _engine(request["engine"], info, device, settings.num_parallel_envs)
     keep_compiled(request["cache"], engine)
-    environment = catalog.make(info, options, engine_builder(engine))
+    environment = catalog.make(info, job.options, engine_builder(engine))
     metric = mark["metric"] if mark else "eval/episode_reward"
     told: dict[str, Any] = {"training": [], "curve": [], "reached_s": None, "reached_at": None}
     told |= {"engine": engine, "first_update_s": None}

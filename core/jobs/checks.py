@@ -1,26 +1,20 @@
 """Checks before a job is stored: each refusal names the place and the remedy."""
 
 from collections.abc import Callable, Collection
-from dataclasses import replace
-from functools import partial
 
-from core.algorithms.catalog import reported, resolve
+from core.algorithms.catalog import reported
 from core.algorithms.spec import BaseSpec, check_resumption
 from core.bounds import LARGEST_JOB_BYTES, json_bytes
-from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
-from core.environments.mjcf.info import MjcfOptions
-from core.environments.mjcf.slices import mjcf_slices
-from core.errors import EnvironmentNotFound, JobNotFound, JobUnreadable, Problem, Rejected
+from core.errors import JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.environment_difference import difference
 from core.jobs.job import Artifact, Job
-from core.jobs.needs import DEVICES, kind_of, least_memory
-from core.jobs.own_model import engines_that_cannot, own_model
+from core.jobs.needs import kind_of
+from core.jobs.resolved import ResolvedJob, resolve_job
 from core.jobs.spec import (
     CheckpointPolicy,
     ConstantPolicy,
-    EnvironmentSpec,
     JobSpec,
     RandomPolicy,
     RolloutSpec,
@@ -31,8 +25,6 @@ from core.jobs.spec import (
 from core.jobs.store import JobStore
 from core.physics.availability import check_physics, share_states
 from core.rendering.camera import check_cameras, model_camera
-from core.user_models.record import Description
-from core.user_models.store import ModelStore
 
 # Every worker has this much memory.
 _HARMLESS_BYTES = 2**29
@@ -44,7 +36,8 @@ _MAX_ROLLOUT_STEPS = 1_000_000
 def check(spec: JobSpec, store: JobStore) -> None:
     """Raises Rejected with all problems of the first check that finds any."""
     _check_size(spec)
-    info, _ = chosen(spec.environment, store)
+    job = resolve_job(spec, store)
+    info = job.info
     if spec.physics != "auto" or not info.own_physics:
         check_physics(spec.physics, info.cannot_run)
     _check_randomization(spec, info)
@@ -52,7 +45,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     _check_gpus(spec)
     match spec:
         case TrainSpec():
-            _check_training(spec, info, store)
+            _check_training(spec, job, store)
         case RolloutSpec():
             _check_rollout(spec, info, store)
 
@@ -62,17 +55,6 @@ def _check_size(spec: JobSpec) -> None:
     if (size := json_bytes(spec.model_dump(mode="json", exclude_unset=True))) > LARGEST_JOB_BYTES:
         detail = f"The job has {size:,} bytes as JSON; at most {LARGEST_JOB_BYTES:,} are allowed."
         raise Rejected(detail, [Problem("", detail)])
-
-
-def chosen(environment: EnvironmentSpec, store: ModelStore) -> tuple[EnvironmentInfo, Strict]:
-    """The environment's row of the catalog under these options, and the parsed options. Raises Rejected."""
-    try:
-        info, options = catalog.resolve(environment.id, environment.options)
-    except EnvironmentNotFound as error:
-        raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
-    if isinstance(options, MjcfOptions):
-        info = _row_of(info, options, own_model(options, store))
-    return info, options
 
 
 def _check_video(spec: JobSpec, info: EnvironmentInfo) -> None:
@@ -112,40 +94,23 @@ def _check_gpus(spec: JobSpec) -> None:
         raise Rejected(problems[0].detail, problems)
 
 
-def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Description) -> EnvironmentInfo:
-    """The catalog's row, with the values that depend on the model."""
-    has = description.inventory
-    spaces = mjcf_slices(options, has)
-    return replace(
-        info,
-        observation_size=spaces.observation_size,
-        action_size=has.sizes.nu,
-        slices=partial(mjcf_slices, model=has),
-        cameras=tuple(has.cameras),
-        cannot_run=engines_that_cannot(description, options),
-    )
-
-
-def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
-    resolved: dict[Device, BaseSpec] = {
-        device: resolve(spec.algorithm, info, device) for device in DEVICES[spec.resources.kind]
-    }
-    for settings in resolved.values():
+def _check_training(spec: TrainSpec, job: ResolvedJob, store: JobStore) -> None:
+    for settings in job.settings.values():
         settings.check_sharing(spec.resources.gpus)
     _check_seeds(spec)
-    _check_memory(spec, info, store)
-    if (source := spec.source) is not None:
-        checkpoint = source_artifact(spec, source, store.get)
-        _check_same_seeds(spec, store.get(source.job))
-        _check_budget(resolved.values(), checkpoint)
-        _check_fields(spec, store.get(source.job))
-        _check_engine(spec, store.get(source.job))
-        _check_fit(spec, info, store.get(source.job))
+    _check_memory(spec, job, store)
+    if spec.source is not None:
+        checkpoint, source = source_artifact(spec, spec.source, store.get), store.get(spec.source.job)
+        _check_same_seeds(spec, source)
+        _check_budget(job.settings.values(), checkpoint)
+        _check_fields(spec, source)
+        _check_engine(spec, source)
+        _check_fit(job, source)
 
 
-def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
+def _check_memory(spec: TrainSpec, job: ResolvedJob, store: JobStore) -> None:
     """Refuse a job that fits on no worker's device; one that does not report its memory may have enough."""
-    needs = least_memory(spec, info)
+    needs = job.memory
     if max(need.bytes for need in needs.values()) < _HARMLESS_BYTES:
         return
     sizes: list[tuple[Device, int]] = []
@@ -182,9 +147,9 @@ def _check_same_seeds(spec: TrainSpec, source: Job) -> None:
         raise Rejected(detail, [Problem("/seeds", detail), Problem("/resume_from", detail)])
 
 
-def _check_budget(resolved: Collection[BaseSpec], checkpoint: Artifact) -> None:
+def _check_budget(by_device: Collection[BaseSpec], checkpoint: Artifact) -> None:
     """Refuse a job that would end at once, without a step, on every device that it may get."""
-    step, budget = checkpoint.step or 0, max(settings.budget for settings in resolved)
+    step, budget = checkpoint.step or 0, max(settings.budget for settings in by_device)
     if step >= budget:
         detail = (
             f"The checkpoint is of step {step:,}, and the job's budget of {budget:,} steps counts those "
@@ -217,16 +182,16 @@ def _check_fields(spec: TrainSpec, source: Job) -> None:
         raise Rejected(detail, [Problem("/randomization", detail)])
 
 
-def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:
+def _check_fit(job: ResolvedJob, source: Job) -> None:
     """Refuse a job that cannot load the source's checkpoints on any device that it may get."""
     used = [a.details["hyperparameters"] for a in source.attempts if "hyperparameters" in a.details]
     if not used:
         return
     made_with = reported(used[-1])
     refusals: list[Rejected] = []
-    for device in DEVICES[spec.resources.kind]:
+    for settings in job.settings.values():
         try:
-            check_resumption(resolve(spec.algorithm, info, device), made_with)
+            check_resumption(settings, made_with)
         except Rejected as refusal:
             refusals.append(refusal)
         else:

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, cast
 
-from core.environments import catalog
-from core.errors import EnvironmentNotFound, Rejected
+from core.errors import Rejected
+from core.jobs.resolved import resolve_environment
 from core.jobs.spec import EnvironmentSpec
 
 # Numbers below these parts of the options change what an environment pays, how an episode begins and when it
@@ -37,8 +37,8 @@ def difference(had: EnvironmentSpec, has: EnvironmentSpec, free: Sequence[str]) 
 def _options(environment: EnvironmentSpec) -> dict[str, Any]:
     """The options with their defaults."""
     # An option that this version refuses may be of a job of another version.
-    with suppress(EnvironmentNotFound, Rejected):
-        return catalog.resolve(environment.id, environment.options)[1].model_dump(mode="json")
+    with suppress(Rejected):
+        return resolve_environment(environment)[1].model_dump(mode="json")
     return environment.options
 
 

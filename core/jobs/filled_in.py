@@ -2,12 +2,9 @@
 
 from typing import Any
 
-from core.algorithms.catalog import resolve
-from core.environments.info import EnvironmentInfo
 from core.errors import Rejected
-from core.jobs.checks import chosen
 from core.jobs.job import Job
-from core.jobs.needs import DEVICES
+from core.jobs.resolved import DEVICES, ResolvedJob, resolve_job
 from core.jobs.spec import TrainSpec
 from core.user_models.store import ModelStore
 
@@ -23,27 +20,27 @@ def filled_in(job: Job, store: ModelStore) -> dict[str, Any]:
     document: dict[str, Any] = {"kind": spec.kind, **spec.model_dump(mode="json")}
     if "gpus" not in spec.resources.model_fields_set:
         del document["resources"]["gpus"]  # A job that says 1 gets a GPU.
-    info = None
+    resolved = None
     try:
-        info, options = chosen(spec.environment, store)
-        document["environment"]["options"] = options.model_dump(mode="json")
+        resolved = resolve_job(spec, store)
+        document["environment"]["options"] = resolved.options.model_dump(mode="json")
     except Rejected:
         document["environment"]["options"] = dict(spec.environment.options)
     if isinstance(spec, TrainSpec):
-        document["algorithm"] = _hyperparameters(job, spec, info)
+        document["algorithm"] = _hyperparameters(job, spec, resolved)
         del document["seeds" if spec.seeds is None else "seed"]  # The two exclude each other.
     if spec.video is not None and spec.video.cameras is not None:
         del document["video"]["camera"]  # The two exclude each other.
     return document
 
 
-def _hyperparameters(job: Job, spec: TrainSpec, info: EnvironmentInfo | None) -> dict[str, Any]:
+def _hyperparameters(job: Job, spec: TrainSpec, resolved: ResolvedJob | None) -> dict[str, Any]:
     for attempt in reversed(job.attempts):
         if used := attempt.details.get("hyperparameters"):
             return {"kind": spec.algorithm.algorithm(), **used}
-    if info is None:
+    if resolved is None:
         return {
             "kind": spec.algorithm.algorithm(),
             **spec.algorithm.model_dump(mode="json", exclude_unset=True),
         }
-    return resolve(spec.algorithm, info, DEVICES[spec.resources.kind][0]).model_dump(mode="json")
+    return resolved.settings_on(DEVICES[spec.resources.kind][0]).model_dump(mode="json")

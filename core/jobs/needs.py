@@ -3,18 +3,15 @@
 from collections.abc import Mapping
 from importlib.util import find_spec
 
-from core.algorithms import catalog as algorithms
-from core.algorithms.catalog import resolve
 from core.algorithms.memory import Memory
 from core.devices import gpu_indices
 from core.environments import catalog
-from core.environments.info import Device, EnvironmentInfo
+from core.environments.info import Device
 from core.errors import GaitwayError
 from core.jobs.job import Job
-from core.jobs.spec import Accelerator, JobSpec, TrainSpec
+from core.jobs.resolved import resolve_job
+from core.jobs.spec import JobSpec, TrainSpec
 from core.physics.availability import PACKAGES
-
-DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 
 # The extra of Gaitway that installs an optional package, by the package's import name.
 _EXTRAS: dict[str, str] = {
@@ -55,22 +52,10 @@ def packages_for(job: Job) -> Mapping[str, str]:
 
 def memory_for(spec: JobSpec) -> Mapping[Device, Memory]:
     """The least memory that a training needs on each kind of device; empty where that is not known."""
-    if not isinstance(spec, TrainSpec):
-        return {}
     try:
-        info, _ = catalog.resolve(spec.environment.id, spec.environment.options)
-        return least_memory(spec, info)
+        return resolve_job(spec).memory
     except GaitwayError:  # A version with other rules accepted it; the attempt says what is wrong.
         return {}
-
-
-def least_memory(spec: TrainSpec, info: EnvironmentInfo) -> Mapping[Device, Memory]:
-    """Like `memory_for`, given the environment's row. Raises Rejected."""
-    gpus, num_seeds = spec.resources.gpus, len(spec.seeds or [spec.seed])
-    return {
-        device: algorithms.least_memory(resolve(spec.algorithm, info, device), info, gpus).of_seeds(num_seeds)
-        for device in DEVICES[spec.resources.kind]
-    }
 
 
 def kind_of(device: str) -> Device:

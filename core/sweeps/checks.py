@@ -6,12 +6,11 @@ from itertools import chain, islice
 
 from pydantic import JsonValue, ValidationError
 
-from core.algorithms.catalog import resolve
 from core.bounds import json_bytes
 from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
 from core.jobs import checks as job_checks
-from core.jobs.needs import DEVICES
+from core.jobs.resolved import resolve_job
 from core.jobs.spec import JOB_SPEC, RolloutSpec, TrainSpec
 from core.jobs.store import JobStore
 from core.jobs.submission import completed as completed_job
@@ -53,16 +52,16 @@ def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
     trained side by side where `_with_seeds_together` says so. Raises Rejected."""
     try:
         spec = spec.model_copy(update={"job": with_environment(spec.job, store)})
-        info, _ = job_checks.chosen(spec.job.environment, store)
+        resolved = resolve_job(spec.job, store)
     except Rejected as error:
         raise Rejected(
             error.detail, [Problem(f"/job{one.pointer}", one.detail) for one in error.problems]
         ) from None
     _check_labels(spec)
-    _check_axes(spec, info)
-    spec = spec.model_copy(update={"parameters": _with_fractions(spec, info)})
+    _check_axes(spec, resolved.info)
+    spec = spec.model_copy(update={"parameters": _with_fractions(spec, resolved.info)})
     _check_number(spec)
-    _raise([*problems_of_population(spec, info), *problems_of_sampler(spec)])
+    _raise([*problems_of_population(spec, resolved), *problems_of_sampler(spec)])
     _check_method(spec)
     _check_objectives(spec)
     _check_values(spec, store)
@@ -101,8 +100,7 @@ def steps_of(spec: SweepSpec, values: Mapping[str, JsonValue], store: JobStore) 
         job = completed_job(job_of(spec.job, values))
         if isinstance(job, RolloutSpec):
             return job.num_steps * job.num_episodes
-        info, _ = job_checks.chosen(job.environment, store)
-        budgets = (resolve(job.algorithm, info, device).budget for device in DEVICES[job.resources.kind])
+        budgets = (settings.budget for settings in resolve_job(job, store).settings.values())
         return max(budgets) * len(job.seeds or [job.seed])
     except (ValidationError, Rejected):
         return 0

@@ -13,15 +13,15 @@ The checks at the end are the requirements of the method on a sweep's job and ax
 
 import random
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pydantic import JsonValue, ValidationError
 
-from core.algorithms.catalog import ALGORITHMS, resolve
+from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.spec import BaseSpec, check_resumption
-from core.environments.info import Device, EnvironmentInfo
+from core.environments.info import Device
 from core.errors import Problem, Rejected
-from core.jobs.needs import DEVICES
+from core.jobs.resolved import DEVICES, ResolvedJob
 from core.jobs.spec import TrainSpec
 from core.sweeps.axes import Values, axis_place, ends, job_of, neighbours, random_values, scaled, value_at
 from core.sweeps.spec import Axis, Population, Range, SweepSpec
@@ -150,8 +150,8 @@ def _changed(axis: Axis, value: JsonValue, population: Population, generator: ra
     return scaled(axis, value, factor) if isinstance(value, int | float) else value
 
 
-def problems_of_population(spec: SweepSpec, info: EnvironmentInfo) -> list[Problem]:
-    """The problems of a sweep by `pbt`, and of a `population` beside another method."""
+def problems_of_population(spec: SweepSpec, resolved: ResolvedJob) -> list[Problem]:
+    """The problems of a sweep by `pbt`, and of a `population` beside another method. resolved: its job."""
     population = spec.population
     if spec.method != "pbt":
         detail = f"`population` is for the method `pbt`, and this sweep has `{spec.method}`; leave it out."
@@ -162,8 +162,8 @@ def problems_of_population(spec: SweepSpec, info: EnvironmentInfo) -> list[Probl
     return (
         [*_of_sweep(spec)]
         or [*_of_axes(spec)]
-        or [*_of_settings(spec, info)]
-        or [*_of_length(spec, population, info)]
+        or [*_of_settings(spec, resolved)]
+        or [*_of_length(spec, population, resolved)]
     )
 
 
@@ -212,13 +212,13 @@ def _of_axes(spec: SweepSpec) -> Iterator[Problem]:
         yield Problem(axis_place(name), detail)
 
 
-def _of_settings(spec: SweepSpec, info: EnvironmentInfo) -> Iterator[Problem]:
+def _of_settings(spec: SweepSpec, resolved: ResolvedJob) -> Iterator[Problem]:
     """Axes along which a run that resumes cannot move, or moves without effect."""
     first = {name: ends(axis)[0] for name, axis in spec.parameters.items()}
     for name, axis in spec.parameters.items():
         found = [{**first, name: value} for value in ends(axis)[:_MAX_TRIED]]
         for device in DEVICES[spec.job.resources.kind]:
-            settings = [one for values in found if (one := _resolved(spec, values, info, device)) is not None]
+            settings = [one for values in found if (one := _settings(resolved, values, device)) is not None]
             if detail := _why_fixed(name, settings):
                 yield Problem(axis_place(name), detail)
                 break
@@ -238,12 +238,12 @@ def _why_fixed(name: str, settings: list[BaseSpec]) -> str | None:
     return None
 
 
-def _of_length(spec: SweepSpec, population: Population, info: EnvironmentInfo) -> Iterator[Problem]:
+def _of_length(spec: SweepSpec, population: Population, resolved: ResolvedJob) -> Iterator[Problem]:
     """A generation without an update would end without a value."""
     first = {name: ends(axis)[0] for name, axis in spec.parameters.items()}
     steps = steps_until(spec, population, 0)
     for device in DEVICES[spec.job.resources.kind]:
-        settings = _resolved(spec, first, info, device)
+        settings = _settings(resolved, first, device)
         update: int = getattr(settings, "env_steps_per_update", 0)
         if steps < update:
             detail = (
@@ -255,10 +255,10 @@ def _of_length(spec: SweepSpec, population: Population, info: EnvironmentInfo) -
             return
 
 
-def _resolved(spec: SweepSpec, values: Values, info: EnvironmentInfo, device: Device) -> BaseSpec | None:
+def _settings(resolved: ResolvedJob, values: Values, device: Device) -> BaseSpec | None:
     """The algorithm's settings under these values; None where they do not fit, which other checks say."""
     try:
-        job = job_of(spec.job, values)
-        return resolve(job.algorithm, info, device) if isinstance(job, TrainSpec) else None
+        job = job_of(resolved.spec, values)
+        return replace(resolved, spec=job).settings_on(device) if isinstance(job, TrainSpec) else None
     except (ValidationError, Rejected):
         return None

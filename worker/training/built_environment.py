@@ -11,15 +11,14 @@ from typing import Any
 
 import jax
 
-from core.algorithms.catalog import resolve
 from core.devices import gpu_indices
-from core.documents import Strict
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
-from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
+from core.jobs.resolved import ResolvedJob, resolve_job
+from core.jobs.spec import RolloutSpec
 from core.physics.availability import CHOOSE_ANOTHER, EngineChoice, EngineName, choose, share_states
 from core.physics.choose import engine_builder
 from core.reasons import Reason
@@ -34,10 +33,10 @@ _ENGINES_PACKAGES = {"warp": ("warp-lang",), "compiled": ("llvmlite",)}
 class BuiltEnvironment:
     """An environment, its engine and the reason for that.
 
-    num_devices: how many share a training. commit: of the code.
+    job: resolved without a user's own model. num_devices: how many share a training. commit: of the code.
     """
 
-    info: EnvironmentInfo
+    job: ResolvedJob
     environment: Environment
     device: Device
     device_name: str
@@ -45,6 +44,10 @@ class BuiltEnvironment:
     engine_reason: str
     num_devices: int = 1
     commit: str | None = None
+
+    @property
+    def info(self) -> EnvironmentInfo:
+        return self.job.info
 
     def started(self, **details: Any) -> Started:
         """The facts on this attempt for the job's record."""
@@ -77,25 +80,24 @@ def build_environment(task: Task) -> BuiltEnvironment:
         raise JobFailed(
             Reason.DEVICE_FAILED, f"The worker serves {task.device}, but JAX finds only {_named(found)}."
         )
-    info, options = catalog.resolve(task.spec.environment.id, task.spec.environment.options)
-    if task.model:
-        info = replace(info, cannot_run=task.engines_that_cannot)
-    num_envs = _num_envs(task.spec, info, device) // num_devices
+    job = resolve_job(task.spec)
+    info = replace(job.info, cannot_run=task.engines_that_cannot) if task.model else job.info
+    num_envs = _num_envs(job, device) // num_devices
     choice = _choice(task, info, device, num_envs)
     try:
-        environment = _made(task, info, options, choice.name)
+        environment = _made(task, job, choice.name)
     except JobFailed as failed:
         if not _may_take_another(task, choice, failed):
             raise
         info = replace(info, cannot_run={**info.cannot_run, choice.name: failed.detail})
         why = failed.detail.removesuffix(CHOOSE_ANOTHER).strip()
         choice = replace(_choice(task, info, device, num_envs), reason=why)
-        environment = _made(task, info, options, choice.name)
+        environment = _made(task, job, choice.name)
     name = _named(found[:num_devices]) if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
     engine, reason = choice.name, choice.reason
     if info.own_physics:
         engine, reason = info.own_physics, f"{info.id} brings its own physics."
-    return BuiltEnvironment(info, environment, device, name, engine, reason, num_devices, task.commit)
+    return BuiltEnvironment(job, environment, device, name, engine, reason, num_devices, task.commit)
 
 
 def _choice(task: Task, info: EnvironmentInfo, device: Device, num_envs: int) -> EngineChoice:
@@ -104,14 +106,14 @@ def _choice(task: Task, info: EnvironmentInfo, device: Device, num_envs: int) ->
     return _that_can_go_on(choice, task) if task.spec.physics == "auto" else choice
 
 
-def _made(task: Task, info: EnvironmentInfo, options: Strict, engine: EngineName) -> Environment:
+def _made(task: Task, job: ResolvedJob, engine: EngineName) -> Environment:
     """The environment on an engine. Raises JobFailed."""
     if engine == "warp":
         keep_warp_kernels()
     if engine == "compiled":
         keep_machine_code()
     model = Path(task.model).absolute() if task.model else None  # It is in the spool, our working directory.
-    environment = catalog.make(info, options, engine_builder(engine), model)
+    environment = catalog.make(job.info, job.options, engine_builder(engine), model)
     environment = randomize(environment, task.spec.randomization)
     if model is not None:
         # Only a reset shows whether the engine has what the job randomises.
@@ -144,10 +146,8 @@ def _named(devices: Sequence[Any]) -> str:
     return ", ".join(kind if number == 1 else f"{number} × {kind}" for kind, number in kinds.items())
 
 
-def _num_envs(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:
+def _num_envs(job: ResolvedJob, device: Device) -> int:
     """The number of environments that the job steps in parallel for most of its time."""
-    match spec:
-        case TrainSpec():
-            return resolve(spec.algorithm, info, device).num_parallel_envs
-        case RolloutSpec():
-            return spec.num_episodes
+    if isinstance(job.spec, RolloutSpec):
+        return job.spec.num_episodes
+    return job.settings_on(device).num_parallel_envs

@@ -10,7 +10,6 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from core.algorithms.catalog import least_memory, resolve
 from core.algorithms.events import (
     CheckpointReady,
     Evaluated,
@@ -61,10 +60,9 @@ def train(
     and at the end, unless the job continues elsewhere, its policy, both also for programs elsewhere, and the
     video that it asks for. Each of several seeds has such policies and a video of its own.
     """
-    settings = resolve(spec.algorithm, built.info, built.device)
+    settings = built.job.settings_on(built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
-    memory = least_memory(settings, built.info, built.num_devices)
-    check_memory(memory.of_seeds(len(spec.seeds or [spec.seed])), built.device)
+    check_memory(built.job.memory_on(built.device, built.num_devices), built.device)
     run, policies = begin_or_resume(task, spec, settings, built, events)
     files = PolicyFiles(policies, ExportWriter(settings.algorithm(), built), task.best)
     videos = None if spec.video is None else PolicyVideos(spec.video, built, policies)

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from core.algorithms.catalog import resolve
-from core.environments.catalog import resolve as resolve_environment
+from core.jobs.resolved import resolve_job
 from core.jobs.spec import TrainSpec
 from gaitway.service.demo import DemoOptions
 
@@ -17,9 +16,9 @@ def _job(environment: str, num_timesteps: int | None = None) -> TrainSpec:
 
 def test_the_ants_starts_have_little_noise_and_its_learning_slows_down() -> None:
     job = _job("ant")
-    info, options = resolve_environment(job.environment.id, job.environment.options)
-    settings = resolve(job.algorithm, info, "cpu")
-    assert options.model_dump()["reset_noise_scale"] == 0.02
+    resolved = resolve_job(job)
+    settings = resolved.settings["cpu"]
+    assert resolved.options.model_dump()["reset_noise_scale"] == 0.02
     assert settings.model_dump()["learning_rate_schedule"] == "LINEAR"
     assert settings.budget == 1_200_000
     assert job.seed == 3

@@ -16,6 +16,7 @@ from core.algorithms.spec import check_resumption
 from core.environments import catalog
 from core.environments.info import FiniteSpace, FiniteViews
 from core.errors import Rejected
+from core.jobs.resolved import resolve_job
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from core.jobs.submission import completed
 
@@ -258,5 +259,4 @@ def test_the_jobs_of_the_page_are_jobs() -> None:
     for job in jobs:
         spec = completed(JOB_SPEC.validate_json(job))
         assert isinstance(spec, TrainSpec)
-        info, _ = catalog.resolve(spec.environment.id, spec.environment.options)
-        assert resolve(spec.algorithm, info, "cpu").algorithm() == "q_learning"
+        assert resolve_job(spec).settings_on("cpu").algorithm() == "q_learning"

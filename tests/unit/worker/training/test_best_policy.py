@@ -10,7 +10,7 @@ import numpy as np
 
 from core.algorithms.events import Evaluated
 from core.algorithms.ppo.spec import PPOSpec
-from core.environments import catalog
+from core.jobs.resolved import resolve_job
 from core.jobs.spec import TrainSpec
 from gaitway import exported_policy
 from tests.exports import policy_file
@@ -47,8 +47,10 @@ def messages(
     for step, value in zip(range(100, 10_000, 100), returns, strict=False):
         best.see(Evaluated(step, {} if value is None else {"eval/episode_reward": value}))
     if ends:
-        info, _ = catalog.resolve("corridor", {"walker": "ant"})
-        built = BuiltEnvironment(info, endless(), "cpu", "cpu", "native", "asked for")
+        job = resolve_job(
+            TrainSpec.model_validate({"environment": {"id": "corridor", "options": {"walker": "ant"}}})
+        )
+        built = BuiltEnvironment(job, endless(), "cpu", "cpu", "native", "asked for")
         best.keep_exports(ExportWriter("ppo", built))
     events._pipe.close()
     with os.fdopen(read, "rb") as pipe:

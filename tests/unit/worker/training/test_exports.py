@@ -13,6 +13,7 @@ import pytest
 from core.algorithms.policy_file import read_policy, write_policy
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments import catalog
+from core.jobs.resolved import resolve_job
 from core.jobs.spec import TrainSpec
 from gaitway import exported_policy
 from tests.exports import numpy_answers, onnx_answers, policy_file
@@ -24,6 +25,7 @@ from worker.training.exports import ExportWriter
 from worker.training.policy_in_training import PolicyInTraining
 
 SEEN = np.random.default_rng(0).normal(0, 3, (20, 5)).astype(np.float32)
+CORRIDOR = TrainSpec.model_validate({"environment": {"id": "corridor", "options": {"walker": "ant"}}})
 
 
 def handed_over(
@@ -32,8 +34,7 @@ def handed_over(
     """The messages that follow this policy of the corridor's ant at some checkpoints, and at the end: 640."""
     read, write = os.pipe()
     events = EventWriter(spool, write)
-    info, _ = catalog.resolve("corridor", {"walker": "ant"})
-    built = BuiltEnvironment(info, endless(), "cpu", "cpu", "native", "asked for")
+    built = BuiltEnvironment(resolve_job(CORRIDOR), endless(), "cpu", "cpu", "native", "asked for")
     exports, step = ExportWriter(algorithm, built), 0
     trained = PolicyInTraining(TrainSpec(environment="ant"), events, lambda: step, lambda: policy)
     for now in checkpoints:
