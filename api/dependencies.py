@@ -13,10 +13,10 @@ from api.recent import RecentAnswers
 from api.shared_reads import SharedReads
 from api.watching import JobWatcher
 from core.jobs import feeds
-from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.job import JOB_ID, check_job_id
 from core.jobs.queue import JobQueue
 from core.jobs.store import ENTRY_ID, Channel, Entry
+from core.jobs.submission import Acknowledgements
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
 from core.sweeps.sweep import SweepStore

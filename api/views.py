@@ -8,8 +8,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter
 
 from core.jobs.job import Artifact, Job, Progress, UnreadableJob
 from core.jobs.spec import SentSpec
-from core.jobs.waiting import what_it_waits_for
-from core.jobs.workers import WorkerInfo
+from core.jobs.workers import WorkerInfo, what_it_waits_for
 from gaitway.schema import ArtifactView, AttemptView, JobView, OriginView, ProgressView
 
 Item = TypeVar("Item")

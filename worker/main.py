@@ -29,10 +29,9 @@ from core.configuration import read, stopping_if_misconfigured
 from core.environments.catalog import find
 from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.jobs.job import utc_now
-from core.jobs.needs import packages_here
 from core.jobs.queue import FIRST, queue_names
 from core.jobs.store import JobStore
-from core.jobs.workers import WorkerInfo
+from core.jobs.workers import WorkerInfo, packages_here
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
 from core.variables import variable

@@ -19,7 +19,7 @@ from core.adapters.wiring import job_queue, job_store, object_store
 from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.jobs import feeds, orphans
-from core.jobs.deletion import end_deletions
+from core.jobs.ending import end_deletions
 from core.jobs.reconciliation import Reconciler, StrayMessages
 from core.settings import ReconcilerSettings
 from core.sweeps.controller import SweepController

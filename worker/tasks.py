@@ -14,10 +14,9 @@ from core.configuration import read
 from core.errors import JobUnreadable, Misconfigured, NotFound, Unavailable
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Job
-from core.jobs.needs import packages_here
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery, JobStore
-from core.jobs.waiting import why_left_to_others
+from core.jobs.workers import packages_here, why_left_to_others
 from core.previews.record import PreviewRequest
 from core.retry import CalledOff, pause, retry_while_unavailable
 from core.settings import WorkerSettings

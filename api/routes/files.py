@@ -23,8 +23,8 @@ from core.errors import (
     RecordsUnavailable,
     Rejected,
 )
-from core.jobs.checks import no_such_seed
 from core.jobs.job import Artifact, ArtifactRole, Job
+from core.jobs.source import no_such_seed
 from core.jobs.spec import TrainSpec
 from gaitway.schema import ArtifactView
 

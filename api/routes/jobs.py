@@ -26,8 +26,7 @@ from core.errors import (
     Rejected,
     StorageUnavailable,
 )
-from core.jobs.cancellation import cancel
-from core.jobs.deletion import delete
+from core.jobs.ending import cancel, delete
 from core.jobs.job import JOB_ID, Job, UnreadableJob
 from core.jobs.spec import JobKind, Text
 from core.jobs.status import JobStatus

@@ -24,7 +24,7 @@ from core.errors import (
     Rejected,
     StorageUnavailable,
 )
-from core.jobs.deletion import remove_model
+from core.jobs.ending import remove_model
 from core.user_models import library
 from core.user_models.record import ModelRecord
 from gaitway.schema import ModelView

@@ -28,9 +28,8 @@ from core.errors import (
     TooManyPreviews,
 )
 from core.jobs.job import Artifact
-from core.jobs.own_model import model_of
 from core.jobs.queue import looks_at_models
-from core.jobs.resolved import resolve_environment
+from core.jobs.resolved import model_of, resolve_environment
 from core.jobs.spec import EnvironmentSpec
 from core.previews import library
 from core.previews.record import Preview, PreviewRequest, Still

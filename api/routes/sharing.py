@@ -28,10 +28,10 @@ from core.errors import (
     RecordsUnavailable,
     StorageUnavailable,
 )
-from core.jobs.filled_in import filled_in
-from core.jobs.importing import import_run
 from core.jobs.job import Job
+from core.jobs.resolved import filled_in
 from core.jobs.store import Idempotency
+from core.jobs.submission import import_run
 from gaitway.schema import JobView
 
 router = APIRouter(tags=["sharing"])

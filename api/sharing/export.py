@@ -14,9 +14,8 @@ from api.sharing.zip_stream import Member
 from api.views import job_view
 from core.errors import ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs import feeds
-from core.jobs.filled_in import filled_in
 from core.jobs.job import Artifact, Job
-from core.jobs.own_model import model_of
+from core.jobs.resolved import filled_in, model_of
 from core.jobs.store import Channel, Entry
 from core.storage import keys
 from core.storage.whole import check_whole

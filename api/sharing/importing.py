@@ -21,13 +21,12 @@ from core.algorithms.catalog import reported
 from core.bounds import MOST_METRICS
 from core.environments import catalog
 from core.errors import BadExport, EnvironmentNotFound, ModelNotFound, Rejected
-from core.jobs.filled_in import filled_in
-from core.jobs.importing import ImportedFile, Run
 from core.jobs.job import Artifact, Attempt, Job, Origin, Progress, new_job_id
-from core.jobs.resolved import resolve_environment
+from core.jobs.resolved import filled_in, resolve_environment
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, status_entry
+from core.jobs.submission import ImportedFile, Run
 from core.reasons import Reason
 from core.storage import keys
 from core.user_models import library

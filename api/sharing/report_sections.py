@@ -13,8 +13,8 @@ from api.dependencies import Service
 from api.sharing.export import versions
 from core.algorithms.events import is_of_a_seed
 from core.jobs import feeds
-from core.jobs.filled_in import filled_in
 from core.jobs.job import Job
+from core.jobs.resolved import filled_in
 from gaitway.frames import RETURNS
 
 Curves = dict[str, tuple[list[int], list[float]]]  # The steps and finite values of each metric.

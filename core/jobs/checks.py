@@ -1,28 +1,26 @@
 """Checks before a job is stored: each refusal names the place and the remedy."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 
 from core.algorithms.catalog import reported
 from core.algorithms.spec import BaseSpec, check_resumption
 from core.bounds import LARGEST_JOB_BYTES, json_bytes
-from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
-from core.errors import JobNotFound, JobUnreadable, Problem, Rejected
-from core.jobs.environment_difference import difference
+from core.errors import Problem, Rejected
 from core.jobs.job import Artifact, Job
-from core.jobs.needs import kind_of
 from core.jobs.resolved import ResolvedJob, resolve_job
+from core.jobs.source import source_artifact
 from core.jobs.spec import (
     CheckpointPolicy,
     ConstantPolicy,
     JobSpec,
     RandomPolicy,
     RolloutSpec,
-    Source,
     TrainSpec,
     ZeroPolicy,
 )
 from core.jobs.store import JobStore
+from core.jobs.workers import kind_of
 from core.physics.availability import check_physics, share_states
 from core.rendering.camera import check_cameras, model_camera
 
@@ -214,72 +212,3 @@ def _check_rollout(spec: RolloutSpec, info: EnvironmentInfo, store: JobStore) ->
             raise Rejected(detail, [Problem("/policy/action", detail)])
         case CheckpointPolicy() | ConstantPolicy() | RandomPolicy() | ZeroPolicy():
             pass
-
-
-def source_artifact(spec: JobSpec, wanted: Source, get: Callable[[str], Job]) -> Artifact:
-    """The checkpoint, or the best policy, of another job that this one needs.
-
-    Raises Rejected if it is missing or does not fit.
-    """
-    job_id, pointer = wanted.job, wanted.pointer
-    try:
-        source = get(job_id)
-    except (JobNotFound, JobUnreadable) as error:
-        raise Rejected(error.detail, [Problem(f"{pointer}/job", error.detail)]) from None
-    free = _free_options(spec)
-    if found := difference(source.spec.environment, spec.environment, free):
-        place, values = found
-        excepted = f" except in {', '.join(free)}" if free else ""
-        detail = (
-            f"The environments of job {job_id} and of this one differ at {place}: {values}. They must be the "
-            f"same{excepted}. Numbers of the reward, the reset and the termination may differ."
-        )
-        if isinstance(spec, RolloutSpec):
-            detail += " Leave `environment` out to take that of the job."
-        raise Rejected(detail, [Problem(place, detail), Problem(f"{pointer}/job", detail)])
-    check_seed(source, wanted.seed, f"{pointer}/seed")
-    return _best_policy(source, wanted) if wanted.is_best else _checkpoint(source, wanted.step, pointer)
-
-
-def check_seed(job: Job, seed: int | None, pointer: str) -> None:
-    """Raises Rejected where the job has no such seed. pointer: to the seed in the request."""
-    if detail := no_such_seed(job, seed):
-        raise Rejected(detail, [Problem(pointer, detail)])
-
-
-def no_such_seed(job: Job, seed: int | None) -> str | None:
-    """A sentence where the job has no such seed."""
-    has = job.seeds or (job.spec.seed,)
-    if seed is None or seed in has:
-        return None
-    return f"Job {job.id} has no seed {seed}; it has {', '.join(map(str, has))}."
-
-
-def _best_policy(source: Job, wanted: Source) -> Artifact:
-    pointer, best = wanted.pointer, source.newest("best_policy", seed=wanted.seed)
-    if best is None:
-        of_seed = f" of seed {wanted.seed}" if source.seeds and wanted.seed is not None else ""
-        detail = (
-            f"Job {source.id} ({source.status}) has no best policy{of_seed}: either it has not been "
-            "evaluated yet, "
-            "or a version that kept none has trained it."
-        )
-        raise Rejected(detail, [Problem(f"{pointer}/which", detail)])
-    return best
-
-
-def _checkpoint(source: Job, step: int | None, pointer: str) -> Artifact:
-    checkpoint = source.newest("checkpoint", step)
-    if checkpoint is None:
-        steps = [str(a.step) for a in source.artifacts if a.role == "checkpoint"]
-        wanted = "no checkpoint" if step is None else f"no checkpoint of step {step}"
-        known = f"; it has {', '.join(steps)}" if steps else ""
-        detail = f"Job {source.id} ({source.status}) has {wanted}{known}."
-        raise Rejected(detail, [Problem(pointer if step is None else f"{pointer}/step", detail)])
-    return checkpoint
-
-
-def _free_options(spec: JobSpec) -> tuple[str, ...]:
-    """The environment's options that need not be those of the job whose checkpoint it takes."""
-    info = catalog.ENVIRONMENTS.get(spec.environment.id) if isinstance(spec, RolloutSpec) else None
-    return info.free_in_rollouts if info else ()

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import cast
+from typing import Any, cast
 
 from core.algorithms import catalog as algorithms
 from core.algorithms.memory import Memory
@@ -11,11 +11,14 @@ from core.algorithms.spec import BaseSpec
 from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.mjcf.check import problems
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.slices import mjcf_slices
-from core.errors import EnvironmentNotFound, Problem, Rejected
-from core.jobs.own_model import engines_that_cannot, own_model
+from core.errors import EnvironmentNotFound, ModelNotFound, Problem, Rejected
+from core.jobs.job import Job
 from core.jobs.spec import Accelerator, EnvironmentSpec, JobSpec, TrainSpec
+from core.physics.availability import EngineName, beyond
+from core.user_models import library
 from core.user_models.record import Description
 from core.user_models.store import ModelStore
 
@@ -95,3 +98,84 @@ def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Descriptio
         cameras=tuple(has.cameras),
         cannot_run=engines_that_cannot(description, options),
     )
+
+
+_POINTER = "/environment/options/model"
+
+
+def own_model(options: MjcfOptions, store: ModelStore) -> Description:
+    """The description of the model that the options name.
+
+    Raises Rejected where the model does not exist, is not validated yet, or does not fit the options.
+    """
+    try:
+        record = library.find(options.model, store)
+    except ModelNotFound as error:
+        raise Rejected(error.detail, [Problem(_POINTER, error.detail)]) from None
+    if record.status != "ready" or record.description is None:
+        detail = (
+            f"The model {options.model} was refused: {record.message}"
+            if record.status == "refused"
+            else f"The model {options.model} is still being validated; ask GET /models/{options.model}."
+        )
+        raise Rejected(detail, [Problem(_POINTER, detail)])
+    if found := problems(options, record.description.inventory):
+        raise Rejected(" ".join(problem.detail for problem in found[:5]), found)
+    return record.description
+
+
+def model_of(environment: EnvironmentSpec) -> str | None:
+    """The id of the user's own model that an environment names; the environment was checked before."""
+    if not catalog.find(environment.id).takes_model:
+        return None
+    return str(environment.options["model"])
+
+
+def engines_that_cannot(description: Description | None, options: MjcfOptions) -> Mapping[EngineName, str]:
+    """Engines that cannot run the model, or read what the options read of it, each with the reason."""
+    if description is None:
+        return {}
+    tried = description.engines.items()
+    cannot: dict[EngineName, str] = {name: why for name, why in tried if why is not None}
+    for sensor in description.inventory.sensors:
+        if options.sensors is None or sensor.name in options.sensors:
+            for engine, why in sensor.beyond.items():
+                cannot.setdefault(engine, beyond(engine, why))
+    return cannot
+
+
+def filled_in(job: Job, store: ModelStore) -> dict[str, Any]:
+    """The specification as JSON, with every field. It may be submitted again.
+
+    The hyperparameters are those of the newest attempt; before there is one, those that a CPU would get, or
+    a GPU where the job asks for one. Of an environment that the service no longer has, or whose model was
+    deleted, the options that were not sent are left out.
+    """
+    spec = job.spec
+    document: dict[str, Any] = {"kind": spec.kind, **spec.model_dump(mode="json")}
+    if "gpus" not in spec.resources.model_fields_set:
+        del document["resources"]["gpus"]  # A job that says 1 gets a GPU.
+    resolved = None
+    try:
+        resolved = resolve_job(spec, store)
+        document["environment"]["options"] = resolved.options.model_dump(mode="json")
+    except Rejected:
+        document["environment"]["options"] = dict(spec.environment.options)
+    if isinstance(spec, TrainSpec):
+        document["algorithm"] = _hyperparameters(job, spec, resolved)
+        del document["seeds" if spec.seeds is None else "seed"]  # The two exclude each other.
+    if spec.video is not None and spec.video.cameras is not None:
+        del document["video"]["camera"]  # The two exclude each other.
+    return document
+
+
+def _hyperparameters(job: Job, spec: TrainSpec, resolved: ResolvedJob | None) -> dict[str, Any]:
+    for attempt in reversed(job.attempts):
+        if used := attempt.details.get("hyperparameters"):
+            return {"kind": spec.algorithm.algorithm(), **used}
+    if resolved is None:
+        return {
+            "kind": spec.algorithm.algorithm(),
+            **spec.algorithm.model_dump(mode="json", exclude_unset=True),
+        }
+    return resolved.settings_on(DEVICES[spec.resources.kind][0]).model_dump(mode="json")

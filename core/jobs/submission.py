@@ -1,16 +1,35 @@
-"""From a specification to a queued job."""
+"""How a job enters the record: a specification that is submitted, or a run of another service.
 
-from collections.abc import Callable
+The queue gets a submitted job once the record has it; an imported run has ended. Its files are stored first,
+and its record last.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from threading import Lock, Timer
+from typing import IO
 
 import structlog
 
 from core.algorithms.catalog import environment_options
-from core.errors import GaitwayError, JobNotFound, JobUnreadable, Problem, RecordsUnavailable, Rejected
+from core.errors import (
+    BadExport,
+    GaitwayError,
+    JobNotFound,
+    JobUnreadable,
+    Problem,
+    RecordsUnavailable,
+    Rejected,
+    StorageUnavailable,
+)
 from core.jobs.checks import check
-from core.jobs.job import Job, new_job_id
+from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
 from core.jobs.spec import CheckpointPolicy, JobSpec, RolloutSpec, TrainSpec
-from core.jobs.store import Dispatch, Idempotency, JobStore
+from core.jobs.store import Dispatch, Entry, Idempotency, JobStore
+from core.storage import keys
+from core.storage.objects import ObjectStore
 
 log = structlog.get_logger()
 
@@ -120,3 +139,113 @@ def _enqueue(job: Job, queue: JobQueue) -> None:
         priority=job.spec.priority,
         gpus=job.spec.resources.gpus,
     )
+
+
+_GATHER_S = 0.1
+
+
+class Acknowledgements:
+    """Gathers dispatches for a tenth of a second and writes them in one call; thread-safe.
+
+    write: `JobStore.dispatched`. A dispatch that a crash or an outage leaves in the record does no harm: the
+    reconciler hands it over again, and RQ already knows it.
+    """
+
+    def __init__(self, write: Callable[[Sequence[Dispatch]], None]) -> None:
+        self._write = write
+        self._gathered: list[Dispatch] = []
+        self._lock = Lock()
+        self._writing = Lock()
+
+    def add(self, dispatch: Dispatch) -> None:
+        with self._lock:
+            self._gathered.append(dispatch)
+            is_first = len(self._gathered) == 1
+        if is_first:
+            timer = Timer(_GATHER_S, self.flush)
+            timer.daemon = True
+            timer.start()
+
+    def flush(self) -> None:
+        """Write what has been gathered; a write that is under way elsewhere has ended, too."""
+        with self._writing:
+            with self._lock:
+                gathered, self._gathered = self._gathered, []
+            self._write_or_drop(gathered)
+
+    def add_at_once(self, dispatch: Dispatch) -> None:
+        """Write this one now."""
+        self._write_or_drop([dispatch])
+
+    def _write_or_drop(self, dispatches: Sequence[Dispatch]) -> None:
+        try:
+            self._write(dispatches)
+        except RecordsUnavailable as error:
+            log.warning("acknowledgements_dropped", number=len(dispatches), error=error.detail)
+
+
+@dataclass(frozen=True)
+class ImportedFile:
+    """A file of the run. open: its bytes, which have the artifact's hash."""
+
+    artifact: Artifact
+    open: Callable[[], AbstractContextManager[IO[bytes]]]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run under its new id. events, logs: its feeds; each may be read several times."""
+
+    job: Job
+    files: Sequence[ImportedFile]
+    events: Iterable[Entry]
+    logs: Iterable[Entry]
+
+
+def import_run(
+    run: Run, *, store: JobStore, objects: ObjectStore, idempotency: Idempotency | None = None
+) -> Job:
+    """Store the run; or return the job that an earlier import with the same key created.
+
+    Of a run that is refused, nothing is left. Files that cannot be removed, because a process or a store has
+    failed, are removed by the sweep of orphans (`core.jobs.orphans`).
+    Raises BadExport, IdempotencyKeyReused, RecordsUnavailable, StorageUnavailable.
+    """
+    try:
+        for file in run.files:
+            artifact = file.artifact
+            with file.open() as stream:
+                _put(artifact, stream, objects)
+        job = _record(run, store, idempotency)
+    except RecordsUnavailable:  # The record may be stored, and only the answer lost.
+        raise
+    except Exception:
+        _remove_files(run, objects)
+        raise
+    if job is not run.job:
+        _remove_files(run, objects)
+    return job
+
+
+def _put(artifact: Artifact, stream: IO[bytes], objects: ObjectStore) -> None:
+    try:
+        objects.put_stream(artifact.key, stream, artifact.size, media_type=artifact.media_type)
+    except Rejected as error:
+        raise BadExport(f"The file {artifact.name[:100]!r} cannot be stored: {error.detail}") from error
+
+
+def _record(run: Run, store: JobStore, idempotency: Idempotency | None) -> Job:
+    """The job once it is stored, or the one that another import with this key has stored meanwhile."""
+    try:
+        while not store.import_job(run.job, run.events, run.logs, idempotency=idempotency):
+            # None if that job was deleted just now, and its key with it.
+            if idempotency is not None and (known := store.remembered(idempotency)) is not None:
+                return known
+    except JobUnreadable as error:
+        raise BadExport(f"The record of the job cannot be stored: {error.problem}.") from error
+    return run.job
+
+
+def _remove_files(run: Run, objects: ObjectStore) -> None:
+    with suppress(StorageUnavailable):
+        objects.delete_prefix(keys.job(run.job.id))

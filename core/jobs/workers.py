@@ -1,11 +1,23 @@
-"""The reports of workers on themselves, and the store that keeps them."""
+"""Workers: their reports on themselves, what a job needs of one, and why a queued job waits."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from importlib.util import find_spec
 from typing import Literal, Protocol
 
+from core.algorithms.memory import Memory
+from core.devices import gpu_indices
 from core.documents import Stored
+from core.environments import catalog
+from core.environments.info import Device
+from core.errors import GaitwayError
+from core.jobs.job import Job
+from core.jobs.queue import queue_name
+from core.jobs.resolved import resolve_job
+from core.jobs.spec import JobSpec, TrainSpec
+from core.jobs.status import JobStatus
+from core.physics.availability import PACKAGES
 
 # A worker names itself by its host, its device and a few random digits.
 WORKER_NAME = "[!-~]{1,200}"
@@ -66,3 +78,137 @@ class WorkerStore(Protocol):
         A report that this version cannot read counts and is left out, so a page may have fewer than `limit`.
         """
         ...
+
+
+# The extra of Gaitway that installs an optional package, by the package's import name.
+_EXTRAS: dict[str, str] = {
+    **{package: engine for engine, package in PACKAGES.items()},
+    "dm_control": "dm-control",
+    "biorobot": "brittle-star",
+    "mujoco_playground": "playground",
+}
+
+
+def packages_here() -> tuple[str, ...]:
+    """The optional packages that are installed here; none is imported."""
+    rows = catalog.ENVIRONMENTS.values()
+    optional = {*PACKAGES.values(), *(info.package for info in rows if info.package is not None)}
+    return tuple(package for package in sorted(optional) if find_spec(package) is not None)
+
+
+def how_to_install(package: str) -> str:
+    """The command that installs an optional package, or only its name. package: its import name."""
+    extra = _EXTRAS.get(package)
+    return f"the Python package {package}" if extra is None else f"uv sync --inexact --extra {extra}"
+
+
+def packages_for(job: Job) -> Mapping[str, str]:
+    """The optional packages that the job needs, each with what needs it."""
+    environment, needed = job.spec.environment.id, dict[str, str]()
+    info = catalog.ENVIRONMENTS.get(environment)
+    if info is not None and info.package is not None:
+        needed[info.package] = f"the environment {environment}"
+    engine = job.spec.physics
+    if engine == "auto" and isinstance(job.spec, TrainSpec) and job.begun is not None:
+        engine = job.begun.engine  # Its checkpoint was made with it.
+    for name, package in PACKAGES.items():
+        if name == engine:
+            needed[package] = f"the engine {name}"
+    return needed
+
+
+def memory_for(spec: JobSpec) -> Mapping[Device, Memory]:
+    """The least memory that a training needs on each kind of device; empty where that is not known."""
+    try:
+        return resolve_job(spec).memory
+    except GaitwayError:  # A version with other rules accepted it; the attempt says what is wrong.
+        return {}
+
+
+def kind_of(device: str) -> Device:
+    """The kind of a worker's device."""
+    return "gpu" if gpu_indices(device) else "cpu"
+
+
+def what_it_waits_for(job: Job, workers: Sequence[WorkerInfo]) -> str | None:
+    """A sentence if no present worker could run the job; None if one could, or the job is not queued.
+
+    A worker that does not report its packages or memory may have enough.
+    """
+    if job.status != JobStatus.QUEUED:
+        return None
+    suitable = fitting(job, workers)
+    if not suitable:
+        here = sorted({worker.device for worker in workers})
+        there = f"the workers here have {', '.join(here)}" if here else "no worker is running"
+        return f"No worker has {_needed(job, job.spec.resources.gpus)}: {there}."
+    able = _with_device(suitable)
+    if not able:
+        return "The device of each suitable worker was set aside: " + " ".join(
+            f"{worker.name}: {worker.problem}" for worker in suitable
+        )
+    packages, memory = packages_for(job), memory_for(job.spec)
+    equipped = [worker for worker in able if not _missing(worker.packages, packages)]
+    if not equipped:
+        return _no_package(able, packages)
+    if not any(_has_memory(worker, memory) for worker in equipped):
+        return _too_large(equipped, memory)
+    return None
+
+
+def why_left_to_others(job: Job, has: Collection[str], workers: Sequence[WorkerInfo]) -> str | None:
+    """A sentence if this worker lacks a package that a queued job needs, and another worker lacks none.
+
+    None if it lacks nothing, or if no other worker reports all of them: the attempt then fails, and names the
+    extra. has: this worker's packages. Memory is not compared.
+    """
+    packages = packages_for(job)
+    missing = _missing(has, packages)
+    if job.status != JobStatus.QUEUED or not missing:
+        return None
+    for worker in _with_device(fitting(job, workers)):
+        if worker.packages is not None and not _missing(worker.packages, packages):
+            return f"This worker cannot run {_named(missing, packages)}; {worker.name} can."
+    return None
+
+
+def fitting(job: Job, workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
+    """The workers that serve the job's queue."""
+    queue = queue_name(job.accelerator, job.spec.priority, job.spec.resources.gpus)
+    return [worker for worker in workers if queue in worker.queues]
+
+
+def _with_device(workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
+    return [worker for worker in workers if worker.state != "device_failed"]
+
+
+def _needed(job: Job, gpus: int) -> str:
+    if gpus > 1:
+        return f"exactly {gpus} GPUs"
+    return {"gpu": "exactly one GPU", "cpu": "a CPU", "any": "one GPU or a CPU"}[job.accelerator]
+
+
+def _missing(has: Collection[str] | None, packages: Mapping[str, str]) -> list[str]:
+    return [] if has is None else [name for name in packages if name not in has]
+
+
+def _no_package(workers: Sequence[WorkerInfo], packages: Mapping[str, str]) -> str:
+    """About the worker that lacks the fewest packages."""
+    missing = min((_missing(worker.packages, packages) for worker in workers), key=len)
+    what = _named(missing, packages)
+    return f"No suitable worker can run {what}: install it there, or choose another."
+
+
+def _named(missing: Sequence[str], packages: Mapping[str, str]) -> str:
+    return " and ".join(f"{packages[name]} ({how_to_install(name)})" for name in missing)
+
+
+def _has_memory(worker: WorkerInfo, memory: Mapping[Device, Memory]) -> bool:
+    need = memory.get(kind_of(worker.device))
+    return need is None or worker.memory_bytes is None or need.bytes <= worker.memory_bytes
+
+
+def _too_large(workers: Sequence[WorkerInfo], memory: Mapping[Device, Memory]) -> str:
+    largest = max(workers, key=lambda worker: worker.memory_bytes or 0)
+    size, device = largest.memory_bytes or 0, kind_of(largest.device)
+    return memory[device].does_not_fit(size, f"the largest {device.upper()} of a worker")

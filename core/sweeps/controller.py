@@ -23,7 +23,7 @@ from core.errors import (
     Unavailable,
 )
 from core.jobs import submission
-from core.jobs.cancellation import cancel
+from core.jobs.ending import cancel
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
 from core.jobs.spec import JobSpec, TrainSpec

@@ -19,8 +19,7 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobFinished, JobNotFinished, JobNotFound, LeaseLost
 from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret
-from core.jobs.cancellation import cancel
-from core.jobs.deletion import delete
+from core.jobs.ending import cancel, delete
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC

@@ -16,7 +16,7 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret
-from core.jobs.cancellation import cancel
+from core.jobs.ending import cancel
 from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import Channel, Entry, JobStore

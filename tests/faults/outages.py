@@ -18,7 +18,6 @@ from core.adapters.postgres import schema
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import Unavailable
-from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue, queue_names
@@ -26,7 +25,7 @@ from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
-from core.jobs.submission import submit
+from core.jobs.submission import Acknowledgements, submit
 from core.reasons import Reason
 from core.storage.objects import ObjectStore
 from gaitway.service.embedded.postgres import Postgres

@@ -15,8 +15,7 @@ from core.adapters.rq.queue import RQQueue
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus
-from core.jobs.waiting import what_it_waits_for
-from core.jobs.workers import WorkerInfo
+from core.jobs.workers import WorkerInfo, what_it_waits_for
 from core.reasons import Reason
 from core.settings import WorkerSettings
 from tests.faults.bench import Bench, wait_until

@@ -19,16 +19,14 @@ from core.adapters.postgres.engine import PromptConnection
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobNotFound, RecordsUnavailable
 from core.jobs import feeds
-from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Claim, claim_attempt, new_secret
-from core.jobs.cancellation import cancel
-from core.jobs.deletion import delete
+from core.jobs.ending import cancel, delete
 from core.jobs.job import Artifact, Job, utc_now
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, Idempotency, JobQuery
-from core.jobs.submission import submit
+from core.jobs.submission import Acknowledgements, submit
 from core.reasons import Reason
 from core.retry import retry_while_unavailable
 from tests.contract.recording import Database, watch

@@ -20,7 +20,7 @@ from core.adapters.wiring import connect_redis
 from core.errors import RecordsUnavailable
 from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret
-from core.jobs.cancellation import cancel
+from core.jobs.ending import cancel
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus

@@ -12,7 +12,7 @@ from threading import Thread
 import structlog
 
 from core.jobs.job import utc_now
-from core.jobs.own_model import model_of
+from core.jobs.resolved import model_of
 from core.jobs.spec import EnvironmentSpec
 from core.retry import CalledOff
 from core.settings import WorkerSettings

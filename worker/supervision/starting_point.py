@@ -7,9 +7,9 @@ from core.algorithms.catalog import reported
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import JobFailed, ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs.attempts import Claim
-from core.jobs.checks import source_artifact
 from core.jobs.job import Artifact, Attempt, Job
-from core.jobs.own_model import engines_that_cannot, model_of
+from core.jobs.resolved import engines_that_cannot, model_of
+from core.jobs.source import source_artifact
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.physics.availability import EngineName
 from core.reasons import Reason

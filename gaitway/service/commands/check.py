@@ -56,7 +56,7 @@ def _check(settings: "StoreSettings", mark: bool) -> bool:
     """Returns whether something is missing that was not marked."""
     from core.adapters.wiring import job_store, object_store
     from core.errors import JobNotFound, JobUnreadable
-    from core.jobs.inventory import differences, mark_missing
+    from core.jobs.orphans import differences, mark_missing
 
     store, objects, is_left = job_store(settings), object_store(settings), False
     for found in differences(store=store, objects=objects):

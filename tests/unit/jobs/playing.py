@@ -6,13 +6,12 @@ from datetime import timedelta
 from typing import Any
 
 from core.adapters.memory.queue import MemoryJobQueue
-from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry, JobStore
-from core.jobs.submission import submit
+from core.jobs.submission import Acknowledgements, submit
 from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore

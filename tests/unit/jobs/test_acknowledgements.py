@@ -7,8 +7,8 @@ from threading import Event, Thread
 from structlog.testing import capture_logs
 
 from core.errors import RecordsUnavailable
-from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.store import Dispatch
+from core.jobs.submission import Acknowledgements
 
 FIRST, SECOND, THIRD = (Dispatch("attempt", f"job-{number}", 1) for number in range(3))
 

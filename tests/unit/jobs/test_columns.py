@@ -12,7 +12,7 @@ from core.errors import StorageUnavailable
 from core.jobs import columns, feeds
 from core.jobs.columns import GROUP
 from core.jobs.curves import Curves
-from core.jobs.deletion import delete
+from core.jobs.ending import delete
 from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Entry
 from core.reasons import Reason

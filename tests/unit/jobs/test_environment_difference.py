@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from core.jobs.environment_difference import difference
+from core.jobs.source import difference
 from core.jobs.spec import EnvironmentSpec
 
 MODEL = "sha256:" + "0" * 64

@@ -16,7 +16,7 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobNotFound, StorageUnavailable
 from core.jobs import feeds
 from core.jobs.attempts import Claim
-from core.jobs.deletion import delete
+from core.jobs.ending import delete
 from core.jobs.job import new_job_id
 from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry

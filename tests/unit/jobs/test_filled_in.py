@@ -9,8 +9,8 @@ from core.algorithms.catalog import ALGORITHMS
 from core.environments import catalog
 from core.errors import Rejected
 from core.jobs.checks import check
-from core.jobs.filled_in import filled_in
 from core.jobs.job import Attempt, Job
+from core.jobs.resolved import filled_in
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import JobStore
 from core.jobs.submission import completed

@@ -26,16 +26,14 @@ from core.errors import (
     StorageUnavailable,
 )
 from core.jobs import feeds
-from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Claim, claim_attempt, new_secret
-from core.jobs.cancellation import cancel
-from core.jobs.deletion import delete, end_deletions
+from core.jobs.ending import cancel, delete, end_deletions
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC, Source
 from core.jobs.status import JobStatus
 from core.jobs.store import Idempotency, JobQuery
-from core.jobs.submission import submit
+from core.jobs.submission import Acknowledgements, submit
 from core.reasons import Reason
 from core.storage import keys
 from core.user_models.record import ModelRecord

@@ -2,7 +2,7 @@
 
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Sensor
-from core.jobs.own_model import engines_that_cannot
+from core.jobs.resolved import engines_that_cannot
 from tests.contract.test_job_store import DESCRIPTION
 
 SENSORS = [

@@ -7,10 +7,8 @@ import pytest
 
 from core.environments import catalog
 from core.jobs.job import Artifact
-from core.jobs.needs import packages_here
 from core.jobs.queue import queue_names
-from core.jobs.waiting import what_it_waits_for, why_left_to_others
-from core.jobs.workers import WorkerInfo, WorkerState
+from core.jobs.workers import WorkerInfo, WorkerState, packages_here, what_it_waits_for, why_left_to_others
 from core.reasons import Reason
 from tests.unit.jobs.making import NOON, make_job
 
