@@ -12,11 +12,12 @@ from sqlalchemy import ARRAY, Connection, Row, Text, any_, bindparam, case, func
 
 from core.adapters.postgres.tables import artifacts, attempts, jobs
 from core.bounds import LONGEST_MESSAGE
+from core.documents import read_leniently
 from core.errors import JobNotFound, JobUnreadable
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
 from core.jobs.queue import queue_of
+from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
-from core.jobs.stored_spec import read_spec
 
 Values = dict[str, Any]
 HELD = tuple(status.value for status in JobStatus if status.is_held)
@@ -172,7 +173,7 @@ def _job(row: Row[Any], tries: Sequence[Row[Any]], files: Sequence[Row[Any]]) ->
     own = columns(row)
     try:
         found = {
-            "spec": read_spec(row.spec),
+            "spec": read_leniently(row.spec, JOB_SPEC),
             "attempts": [_attempt_of(attempt) for attempt in tries],
             "artifacts": [_artifact_of(artifact) for artifact in files],
             "progress": _progress(row.progress),

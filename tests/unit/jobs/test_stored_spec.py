@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.jobs.spec import RolloutSpec, TrainSpec
-from core.jobs.stored_spec import read_spec
+from core.documents import read_leniently
+from core.jobs.spec import JOB_SPEC, JobSpec, RolloutSpec, TrainSpec
 from tests.unit.jobs.making import make_job
 
 TRAIN: dict[str, Any] = {
@@ -28,6 +28,10 @@ ROLLOUT: dict[str, Any] = {
     "policy": {"kind": "checkpoint", "job": "019aa3c2f0b1-5be0c1d2e3"},
 }
 LATER: dict[str, Any] = {"later": {"kind": "train", "deep": [None, 1.5]}}
+
+
+def read_spec(text: str) -> JobSpec:
+    return read_leniently(text, JOB_SPEC)
 
 
 def stored(job: dict[str, Any]) -> str:
