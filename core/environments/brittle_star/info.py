@@ -145,7 +145,7 @@ def _under(options: Options) -> Mapping[str, Any]:
 
 
 def _is_quick_on_a_gpu(options: Options) -> bool:
-    """Whether each arm is a thread's, in one function; see `core.physics.compiled.code.piece`."""
+    """Whether each arm is a thread's, in one function; see `core.physics.compiled.code.function_source`."""
     alike = len(set(options.segments)) == 1 and options.segments[0] <= _MOST_SEGMENTS_ON_A_GPU
     return alike and options.walls != "contacts"
 

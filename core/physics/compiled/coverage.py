@@ -9,7 +9,7 @@ from core.physics.compiled.collisions.own_boxes import fixed_boxes, says_spacing
 from core.physics.compiled.collisions.table import COLLIDERS
 from core.physics.compiled.constraints.constraints import read_constraints
 from core.physics.compiled.constraints.pairs import Pair, read_pairs
-from core.physics.compiled.constraints.softness import is_computable
+from core.physics.compiled.constraints.solref import is_computable
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.named import named, where, word
 from core.physics.compiled.program.arithmetic import squared
@@ -227,7 +227,7 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
         elif kinds[0] == kinds[1] == mujoco.mjtGeom.mjGEOM_BOX and pair.parameters.reach > 0.0:
             # Where the boxes do not overlap yet, MuJoCo drops points by the direction in which it looked.
             yield f"{names}: two boxes with a margin"
-        elif not is_computable(pair.parameters.softness.impedance.power):
+        elif not is_computable(pair.parameters.spring.impedance.power):
             yield f"{names}: its contact {_CURVE}"
         elif _is_thin_pyramid(model, pair):
             yield f"{names} with hardly any friction in a pyramidal cone: single precision cannot compute it"

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.physics.compiled.code.piece import Piece
+from core.physics.compiled.code.function_source import FunctionSource
 from core.physics.compiled.refusal import check_covered, check_own
 from core.physics.compiled.write import Plan, control_step_in_lanes, control_step_program, derived_program
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
@@ -40,7 +40,7 @@ class CompiledEngine:
         blank = mujoco.MjData(model)
         names = (*_CARRIED, "time", "ctrl", *derived)
         self._shapes = {name: np.shape(getattr(blank, name)) for name in names}
-        self._calls: dict[tuple[_Move, tuple[str, ...]], tuple[Piece, _Call]] = {}
+        self._calls: dict[tuple[_Move, tuple[str, ...]], tuple[FunctionSource, _Call]] = {}
         # Its code is made while JAX traces and compiles.
         self._call("step", ())
 
@@ -73,25 +73,25 @@ class CompiledEngine:
     def _moved(self, move: _Move, state: PhysicsState, more: Mapping[str, jax.Array]) -> dict[str, jax.Array]:
         """The fields after the move, in MuJoCo's shapes."""
         own = tuple(name for name, values in sorted(state.model.items()) if values.size)
-        piece, call = self._call(move, own)
+        source, call = self._call(move, own)
         given = {name: getattr(state, name) for name in (*_CARRIED, "time")} | {**state.model, **more}
-        values = call(*(jnp.ravel(jnp.asarray(given[name], jnp.float32)) for name in piece.inputs))
-        found = dict(zip(piece.outputs, values, strict=True))
+        values = call(*(jnp.ravel(jnp.asarray(given[name], jnp.float32)) for name in source.inputs))
+        found = dict(zip(source.outputs, values, strict=True))
         wanted = (*(_CARRIED if move == "step" else ()), *self._derived)
         return {
             name: found[name].reshape(self._shapes[name]) if name in found else jnp.zeros(self._shapes[name])
             for name in wanted
         }
 
-    def _call(self, move: _Move, own: tuple[str, ...]) -> tuple[Piece, _Call]:
+    def _call(self, move: _Move, own: tuple[str, ...]) -> tuple[FunctionSource, _Call]:
         """The move, for environments that differ in these fields of the model."""
         if (move, own) not in self._calls:
             check_own(self.model, own, self._derived)
-            piece = self._piece(move, own)
-            self._calls[move, own] = piece, _on_this_device(piece)
+            source = self._source(move, own)
+            self._calls[move, own] = source, _on_this_device(source)
         return self._calls[move, own]
 
-    def _piece(self, move: _Move, own: tuple[str, ...]) -> Piece:
+    def _source(self, move: _Move, own: tuple[str, ...]) -> FunctionSource:
         read = {"step": (*_CARRIED, "ctrl"), "reset": ("qpos", "qvel")}[move]
         if move == "reset" and not _OF_FORCES.isdisjoint(self._derived):
             read = (*read, "act")
@@ -103,26 +103,26 @@ class CompiledEngine:
         described = f"{move} {self._described} {own}"
         if move == "reset":
             write = partial(derived_program, plan)
-            return Piece(described, write, write, inputs, written)
+            return FunctionSource(described, write, write, inputs, written)
         write, in_lanes = (
             partial(one, plan, self._num_substeps) for one in (control_step_program, control_step_in_lanes)
         )
-        return Piece(described, write, in_lanes, inputs, written)
+        return FunctionSource(described, write, in_lanes, inputs, written)
 
     def _sizes(self, names: tuple[str, ...]) -> dict[str, int]:
         """Fields without elements are neither read nor written."""
         return {name: size for name in names if (size := int(np.prod(self._shapes[name])))}
 
 
-def _on_this_device(piece: Piece) -> _Call:
-    """The piece's code for the processor that JAX uses."""
+def _on_this_device(source: FunctionSource) -> _Call:
+    """The function for the processor that JAX uses."""
     if jax.default_backend() == "cpu":
         from core.physics.compiled.code.cpu_call import CpuCall
 
-        return CpuCall(piece)
+        return CpuCall(source)
     from core.physics.compiled.code.gpu_call import GpuCall
 
-    return GpuCall(piece)
+    return GpuCall(source)
 
 
 def _fingerprint(model: mujoco.MjModel) -> str:

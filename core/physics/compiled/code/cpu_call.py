@@ -1,4 +1,4 @@
-"""A piece of code on all of this machine's cores, called from compiled JAX programs."""
+"""A generated function on all of this machine's cores, called from compiled JAX programs."""
 
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,8 +9,8 @@ import jax
 import numpy as np
 
 from core.devices import num_cores
+from core.physics.compiled.code.function_source import FUNCTION, FunctionSource
 from core.physics.compiled.code.machine_code import Function, loaded, vector_width
-from core.physics.compiled.code.piece import FUNCTION, Piece
 from core.physics.host_call import Floats, host_call
 
 
@@ -20,24 +20,24 @@ class CpuCall:
     Every environment has the same result on any number of threads, and beside any others.
     """
 
-    def __init__(self, piece: Piece) -> None:
-        self._piece = piece
+    def __init__(self, source: FunctionSource) -> None:
+        self._source = source
         self._function: Future[Function] = _compilers().submit(self._loaded)
 
     def __call__(self, *arrays: jax.Array) -> tuple[jax.Array, ...]:
         """arrays: the inputs, [size] each. Returns the outputs."""
-        shapes = [(size,) for size in self._piece.outputs.values()]
-        return host_call(self._on_the_host, self._piece.described, shapes, *arrays)
+        shapes = [(size,) for size in self._source.outputs.values()]
+        return host_call(self._on_the_host, self._source.described, shapes, *arrays)
 
     def _loaded(self) -> Function:
-        num_arrays = len(self._piece.inputs) + len(self._piece.outputs)
-        return loaded(self._piece.cpu_code(), FUNCTION, num_arrays)
+        num_arrays = len(self._source.inputs) + len(self._source.outputs)
+        return loaded(self._source.cpu_code(), FUNCTION, num_arrays)
 
     def _on_the_host(self, *arrays: Floats) -> Sequence[Floats]:
         function, outer = self._function.result(), arrays[0].shape[:-1]
         num_envs = int(np.prod(outer))
         given = [np.ascontiguousarray(array) for array in arrays]
-        found = [np.empty((*outer, size), np.float32) for size in self._piece.outputs.values()]
+        found = [np.empty((*outer, size), np.float32) for size in self._source.outputs.values()]
         first, *others = _shares(num_envs, vector_width(), num_cores())
         waiting = [_movers().submit(function, *share, *given, *found) for share in others]
         function(*first, *given, *found)

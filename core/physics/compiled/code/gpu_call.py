@@ -1,4 +1,4 @@
-"""A piece of code as a kernel, launched by XLA itself from compiled JAX programs.
+"""A generated function as a kernel, launched by XLA itself from compiled JAX programs.
 
 XLA launches PTX that a program brings along (`__gpu$xla.gpu.ptx`), so nothing goes through Python, and a loop
 of control steps is recorded like a loop of XLA's own kernels.
@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from core.physics.compiled.code.function_source import FUNCTION, FunctionSource
 from core.physics.compiled.code.gpu_kernel import WARP, threads_of
-from core.physics.compiled.code.piece import FUNCTION, Piece
 
 _TARGET = "__gpu$xla.gpu.ptx"
 
@@ -21,10 +21,10 @@ _TARGET = "__gpu$xla.gpu.ptx"
 class GpuCall:
     """Moves one environment; `jax.vmap` makes it many, in one kernel."""
 
-    def __init__(self, piece: Piece) -> None:
-        self._piece = piece
+    def __init__(self, source: FunctionSource) -> None:
+        self._source = source
         card: Any = jax.devices("gpu")[0]
-        self._kernel, self._num_processors = piece.kernel(card.compute_capability), int(card.core_count)
+        self._kernel, self._num_processors = source.kernel(card.compute_capability), int(card.core_count)
         self._many: Any = jax.custom_batching.custom_vmap(self._launch)
         self._many.def_vmap(self._on_another_axis)
 
@@ -36,7 +36,7 @@ class GpuCall:
         """arrays: [N, size] each."""
         num_envs = arrays[0].shape[0]
         shapes = [
-            jax.ShapeDtypeStruct((num_envs, size), jnp.float32) for size in self._piece.outputs.values()
+            jax.ShapeDtypeStruct((num_envs, size), jnp.float32) for size in self._source.outputs.values()
         ]
         num_given = 1 + len(arrays)
         count = jnp.array([num_envs], jnp.int32)

@@ -97,17 +97,17 @@ def chosen_box(choice: Choice, is_near: Vector) -> Placed:
 
 def chosen_parameters(choice: Choice, is_near: Vector) -> Parameters:
     """The parameters of the contact with the box that a geom is near."""
-    softnesses = [one.softness for one in choice.parameters]
-    softness = replace(
-        softnesses[0],
-        stiffness=_chosen(is_near, [one.stiffness for one in softnesses]),
-        damping=_chosen(is_near, [one.damping for one in softnesses]),
+    springs = [one.spring for one in choice.parameters]
+    spring = replace(
+        springs[0],
+        stiffness=_chosen(is_near, [one.stiffness for one in springs]),
+        damping=_chosen(is_near, [one.damping for one in springs]),
     )
     frictions = zip(*(one.friction for one in choice.parameters), strict=True)
     return replace(
         choice.parameters[0],
         friction=tuple(_chosen(is_near, numbers) for numbers in frictions),
-        softness=softness,
+        spring=spring,
         friction_damping=_chosen(is_near, [one.friction_damping for one in choice.parameters]),
     )
 

@@ -28,7 +28,7 @@ from core.physics.compiled.constraints.laws import Law, OneSided, Pyramid
 from core.physics.compiled.constraints.pairs import Pair, Parameters, read_pairs
 from core.physics.compiled.constraints.rows import Direction, Group
 from core.physics.compiled.constraints.skipping import groups_where, touches_where
-from core.physics.compiled.constraints.softness import impedance_at, reference_at, stiffness_at
+from core.physics.compiled.constraints.solref import impedance_at, reference_at, stiffness_at
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.program.arithmetic import (
     Number,
@@ -171,9 +171,9 @@ def _group(tree: Tree, contact: Contact, touch: Touch, moving: Motion, *, by_bod
         total(dot(axis, side.at_point(moving.velocities[side.body], turns)) for side in sides)
         for axis, turns in axes
     ]
-    impedance = impedance_at(parameters.softness.impedance, distance)
-    damping = parameters.friction_damping if contact.is_elliptic else parameters.softness.damping
-    normal = reference_at(parameters.softness, impedance, distance, speeds[0])
+    impedance = impedance_at(parameters.spring.impedance, distance)
+    damping = parameters.friction_damping if contact.is_elliptic else parameters.spring.damping
+    normal = reference_at(parameters.spring, impedance, distance, speeds[0])
     reference = [normal, *(-damping * speed for speed in speeds[1:])]
     law = _law(contact, impedance, distance)
     if by_body:

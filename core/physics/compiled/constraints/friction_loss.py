@@ -7,7 +7,12 @@ from dataclasses import dataclass
 
 from core.physics.compiled.constraints.laws import Slope
 from core.physics.compiled.constraints.rows import Group
-from core.physics.compiled.constraints.softness import Softness, full_stiffness, impedance_at, read_softness
+from core.physics.compiled.constraints.solref import (
+    SpringDamper,
+    full_stiffness,
+    impedance_at,
+    read_spring,
+)
 from core.physics.compiled.fields import Fields, is_zero
 from core.physics.compiled.program.arithmetic import Matrix, Number, Vector, absolute, clip, select
 from core.physics.compiled.smooth.tendons import Coefficients, read_tendons, weighted
@@ -77,14 +82,14 @@ def read_friction_losses(fields: Fields) -> tuple[FrictionLoss, ...]:
         most = fields.number("dof_frictionloss", dof)
         if not is_zero(most):
             weight = fields.number("dof_invweight0", dof)
-            softness = read_softness(fields.row("dof_solref", dof), model.dof_solimp[dof], model.opt.timestep)
-            found.append(_friction_loss({dof: 1.0}, most, weight, softness))
+            spring = read_spring(fields.row("dof_solref", dof), model.dof_solimp[dof], model.opt.timestep)
+            found.append(_friction_loss({dof: 1.0}, most, weight, spring))
     for number, tendon in enumerate(read_tendons(model, fields.own)):
         most = fields.number("tendon_frictionloss", number)
         if not is_zero(most):
             weight, solimp = fields.number("tendon_invweight0", number), model.tendon_solimp_fri[number]
-            softness = read_softness(fields.row("tendon_solref_fri", number), solimp, model.opt.timestep)
-            found.append(_friction_loss(tendon.moment, most, weight, softness))
+            spring = read_spring(fields.row("tendon_solref_fri", number), solimp, model.opt.timestep)
+            found.append(_friction_loss(tendon.moment, most, weight, spring))
     return tuple(found)
 
 
@@ -94,8 +99,8 @@ def friction_row(friction: FrictionLoss, qvel: Vector) -> Group:
 
 
 def _friction_loss(
-    moment: Coefficients, most: Number, inverse_weight: Number, softness: Softness
+    moment: Coefficients, most: Number, inverse_weight: Number, spring: SpringDamper
 ) -> FrictionLoss:
-    impedance = impedance_at(softness.impedance, 0.0)
+    impedance = impedance_at(spring.impedance, 0.0)
     law = Friction(full_stiffness(impedance, inverse_weight), most)
-    return FrictionLoss(moment, softness.damping, law)
+    return FrictionLoss(moment, spring.damping, law)

@@ -11,10 +11,10 @@ import numpy as np
 
 from core.physics.compiled.constraints.laws import OneSided
 from core.physics.compiled.constraints.rows import Group
-from core.physics.compiled.constraints.softness import (
-    Softness,
+from core.physics.compiled.constraints.solref import (
+    SpringDamper,
     impedance_at,
-    read_softness,
+    read_spring,
     reference_at,
     stiffness_at,
 )
@@ -49,7 +49,7 @@ class Limit:
     low: float
     high: float
     margin: float
-    softness: Softness
+    spring: SpringDamper
     inverse_weight: Number
 
 
@@ -61,7 +61,7 @@ class BallLimit:
     dof: int
     most: float
     margin: float
-    softness: Softness
+    spring: SpringDamper
     inverse_weight: Number
 
 
@@ -84,9 +84,9 @@ def limit_row(limit: Limit, qpos: Vector, qvel: Vector) -> Group:
     above, below = length - limit.low, limit.high - length
     sign = select(above < below, 1.0, -1.0)
     distance = minimum(above, below) - limit.margin
-    impedance = impedance_at(limit.softness.impedance, distance)
+    impedance = impedance_at(limit.spring.impedance, distance)
     stiffness = stiffness_at(impedance, limit.inverse_weight, distance)
-    reference = reference_at(limit.softness, impedance, distance, sign * weighted(limit.moment, qvel))
+    reference = reference_at(limit.spring, impedance, distance, sign * weighted(limit.moment, qvel))
     direction = {dof: sign * coefficient for dof, coefficient in limit.moment.items()}
     return Group([direction], [reference], OneSided(stiffness))
 
@@ -101,9 +101,9 @@ def ball_limit_row(limit: BallLimit, qpos: Vector, qvel: Vector) -> Group:
     distance = limit.most - 2.0 * _angle(length, sign * real) - limit.margin
     direction = {limit.dof + k: -x for k, x in enumerate(axis)}
     speed = dot(list(direction.values()), qvel[limit.dof : limit.dof + 3])
-    impedance = impedance_at(limit.softness.impedance, distance)
+    impedance = impedance_at(limit.spring.impedance, distance)
     stiffness = stiffness_at(impedance, limit.inverse_weight, distance)
-    return Group([direction], [reference_at(limit.softness, impedance, distance, speed)], OneSided(stiffness))
+    return Group([direction], [reference_at(limit.spring, impedance, distance, speed)], OneSided(stiffness))
 
 
 def _angle(sine_of: Number, cosine_of: Number) -> Number:
@@ -132,7 +132,7 @@ def _limit(fields: Fields, joint: int) -> Limit:
         low=float(model.jnt_range[joint, 0]),
         high=float(model.jnt_range[joint, 1]),
         margin=float(model.jnt_margin[joint]),
-        softness=read_softness(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
+        spring=read_spring(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
         inverse_weight=fields.number("dof_invweight0", dof),
     )
 
@@ -148,7 +148,7 @@ def _tendon_limits(fields: Fields) -> Iterator[Limit]:
                 low=float(model.tendon_range[number, 0]),
                 high=float(model.tendon_range[number, 1]),
                 margin=float(model.tendon_margin[number]),
-                softness=read_softness(fields.row("tendon_solref_lim", number), solimp, model.opt.timestep),
+                spring=read_spring(fields.row("tendon_solref_lim", number), solimp, model.opt.timestep),
                 inverse_weight=fields.number("tendon_invweight0", number),
             )
 
@@ -161,6 +161,6 @@ def _ball_limit(fields: Fields, joint: int) -> BallLimit:
         dof=dof,
         most=float(model.jnt_range[joint].max()),
         margin=float(model.jnt_margin[joint]),
-        softness=read_softness(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
+        spring=read_spring(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
         inverse_weight=fields.number("dof_invweight0", dof),
     )

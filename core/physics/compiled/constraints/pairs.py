@@ -10,7 +10,7 @@ from functools import reduce
 import mujoco
 import numpy as np
 
-from core.physics.compiled.constraints.softness import Softness, read_softness
+from core.physics.compiled.constraints.solref import SpringDamper, read_spring
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.program.arithmetic import Number, Vector, maximum, minimum, select
 
@@ -25,7 +25,7 @@ class Parameters:
     """
 
     friction: tuple[Number, ...]
-    softness: Softness
+    spring: SpringDamper
     margin: float
     reach: float
     friction_damping: Number
@@ -70,7 +70,7 @@ def touching_geoms(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
                 yield one, int(other)
 
 
-def softness_of(fields: Fields, one: int, other: int) -> tuple[Vector, np.ndarray]:
+def solref_and_solimp(fields: Fields, one: int, other: int) -> tuple[Vector, np.ndarray]:
     """solref [2] and solimp [5] of two geoms: those of the one with the higher priority, or between both."""
     model = fields.model
     priorities = model.geom_priority[[one, other]]
@@ -116,22 +116,22 @@ def _of_geoms(fields: Fields, one: int, other: int) -> Parameters:
     frictions = [fields.row("geom_friction", geom) for geom in chosen]
     sliding, turning, rolling = (reduce(maximum, several) for several in zip(*frictions, strict=True))
     friction = (sliding, sliding, turning, rolling, rolling)
-    softness = read_softness(*softness_of(fields, one, other), model.opt.timestep)
+    spring = read_spring(*solref_and_solimp(fields, one, other), model.opt.timestep)
     margin, gap = float(model.geom_margin[both].sum()), float(model.geom_gap[both].sum())
     dimensions = int(model.geom_condim[chosen].max())
-    return Parameters(_bounded(friction, dimensions), softness, margin, margin + gap, softness.damping)
+    return Parameters(_bounded(friction, dimensions), spring, margin, margin + gap, spring.damping)
 
 
 def _of_pair(fields: Fields, place: int) -> Parameters:
     model = fields.model
     solimp, own = model.pair_solimp[place], fields.row("pair_solreffriction", place)
-    softness = read_softness(fields.row("pair_solref", place), solimp, model.opt.timestep)
-    damping = softness.damping
+    spring = read_spring(fields.row("pair_solref", place), solimp, model.opt.timestep)
+    damping = spring.damping
     if all(own) and (own[0] > 0.0) == (own[1] > 0.0):
-        damping = read_softness(own, solimp, model.opt.timestep).damping
+        damping = read_spring(own, solimp, model.opt.timestep).damping
     margin, gap = float(model.pair_margin[place]), float(model.pair_gap[place])
     friction = tuple(fields.row("pair_friction", place))
-    return Parameters(_bounded(friction, int(model.pair_dim[place])), softness, margin, margin + gap, damping)
+    return Parameters(_bounded(friction, int(model.pair_dim[place])), spring, margin, margin + gap, damping)
 
 
 def _bounded(friction: tuple[Number, ...], dimensions: int) -> tuple[Number, ...]:

@@ -27,7 +27,7 @@ class Impedance:
 
 
 @dataclass(frozen=True)
-class Softness:
+class SpringDamper:
     """A row at distance r < 0 with speed v wants the acceleration -damping · v - stiffness · d(r) · r."""
 
     stiffness: Number
@@ -35,7 +35,7 @@ class Softness:
     impedance: Impedance
 
 
-def read_softness(solref: Sequence[Number], solimp: np.ndarray, timestep: float) -> Softness:
+def read_spring(solref: Sequence[Number], solimp: np.ndarray, timestep: float) -> SpringDamper:
     """solref: [2], a time constant and a damping ratio, or a stiffness and a damping below 0. solimp: [5]."""
     lowest, highest = (_between_bounds(x) for x in solimp[:2])
     width, midpoint, power = (
@@ -53,7 +53,7 @@ def read_softness(solref: Sequence[Number], solimp: np.ndarray, timestep: float)
         select(are_times, select(is_damped, x, y), select(is_damped, y, z))
         for x, y, z in zip(of_times, default, direct, strict=True)
     )
-    return Softness(stiffness, damping, Impedance(lowest, highest, width, midpoint, power))
+    return SpringDamper(stiffness, damping, Impedance(lowest, highest, width, midpoint, power))
 
 
 def _of_times(time: Number, ratio: Number, highest: float, timestep: float) -> tuple[Number, Number]:
@@ -87,9 +87,9 @@ def full_stiffness(impedance: Number, inverse_weight: Number) -> Number:
     return impedance / ((1.0 - impedance) * weight)
 
 
-def reference_at(softness: Softness, impedance: Number, distance: Number, speed: Number) -> Number:
+def reference_at(spring: SpringDamper, impedance: Number, distance: Number, speed: Number) -> Number:
     """The wanted acceleration."""
-    return -(softness.damping * speed + softness.stiffness * (impedance * distance))
+    return -(spring.damping * speed + spring.stiffness * (impedance * distance))
 
 
 def _curve(impedance: Impedance, x: Number) -> Number:

@@ -22,7 +22,7 @@ class Kernel:
 
 
 @dataclass(frozen=True)
-class Piece:
+class FunctionSource:
     """described: what tells it from other programs. write: writes the program; write_lanes: the same for
     several lanes, if the body has limbs that are alike. inputs, outputs: by name, how many numbers of an
     environment an array holds, in the program's order."""
