@@ -1,14 +1,27 @@
-"""The HTTP edge. Composition root: only `build` knows the real adapters."""
+"""The HTTP edge: composition root, and the middleware for every request.
 
+Only `build` knows the real adapters. The middleware checks access, gives a correlation id, writes one line of
+log, and answers a defect with 500.
+"""
+
+import re
+import secrets
+import time
+from collections.abc import Collection
+from dataclasses import dataclass
 from importlib.metadata import version
+from ipaddress import ip_address
+from urllib.parse import urlsplit
 
+import structlog
 from fastapi import FastAPI
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api import problems
-from api.correlation import Correlation
 from api.dependencies import Service
 from api.openapi import describe, serve
-from api.origins import OriginCheck
+from api.problems import CrossSiteRequest, EdgeError, UnexpectedError, UnknownHost, answer
 from api.routes import ROUTERS
 from core.configuration import read
 from core.jobs.queue import JobQueue
@@ -19,6 +32,10 @@ from core.sweeps.sweep import SweepStore
 _DESCRIPTION = """Train simulated bodies to walk: submit a training or a rollout, follow it, fetch its video.
 
 Every refusal is `application/problem+json` (RFC 9457). Times are RFC 3339 in UTC; ids sort by time."""
+_FOREIGN = ("cross-site", "same-site")
+log = structlog.get_logger()
+HEADER = "X-Request-ID"
+_ACCEPTABLE = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 
 
 def create_app(
@@ -80,3 +97,111 @@ def from_environment() -> FastAPI:
     settings = read(ApiSettings)
     check_stores(settings, timeout_s=0)  # until they answer, requests get 503
     return build(settings)
+
+
+@dataclass(frozen=True)
+class OriginCheck:
+    """Access check for browsers: a page of another site may not read, submit or cancel anything.
+
+    There are no accounts. A foreign page is refused because its browser sends the page's origin (`Origin`,
+    `Sec-Fetch-Site`) and the host name that the page used (`Host`).
+    allowed_hosts: names of this service, besides localhost and numeric addresses.
+    If a foreign name resolves to this service (DNS rebinding), the browser takes that name's page and this
+    service for one site. This cannot happen with a numeric address.
+    """
+
+    allowed_hosts: Collection[str] = ()
+
+    def refusal(self, scope: Scope) -> EdgeError | None:
+        """The refusal of this request, or None."""
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        if not self._is_ours(_name(host)):
+            return UnknownHost(_name(host))
+        if self._is_foreign(headers.get("origin"), host) or _is_embedded(headers):
+            return CrossSiteRequest("A page of another site may not use this service.")
+        return None
+
+    def _is_ours(self, name: str) -> bool:
+        if name == "localhost" or name.endswith(".localhost") or name in self.allowed_hosts:
+            return True
+        try:
+            ip_address(name)
+        except ValueError:
+            return False
+        return True
+
+    def _is_foreign(self, origin: str | None, host: str) -> bool:
+        if origin is None:
+            return False
+        try:
+            place = urlsplit(origin).netloc
+        except ValueError:  # Not a URL.
+            return True
+        return place != host and _name(place) not in self.allowed_hosts
+
+
+def _is_embedded(headers: Headers) -> bool:
+    """Whether another site's page sent this in the background; following a link from there is allowed."""
+    return headers.get("sec-fetch-site") in _FOREIGN and headers.get("sec-fetch-mode") != "navigate"
+
+
+def _name(host: str) -> str:
+    """The host without its port, in lower case."""
+    try:
+        return (urlsplit(f"//{host}").hostname or "").rstrip(".")
+    except ValueError:
+        return ""
+
+
+class Correlation:
+    """ASGI middleware. It keeps the client's X-Request-ID if that is harmless, and sends it back."""
+
+    def __init__(self, app: ASGIApp, origin_check: OriginCheck) -> None:
+        self._app = app
+        self._origin_check = origin_check
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        sent = Headers(scope=scope).get(HEADER, "")
+        correlation_id = sent if _ACCEPTABLE.fullmatch(sent) else secrets.token_hex(8)
+        with structlog.contextvars.bound_contextvars(correlation_id=correlation_id):
+            await self._answer(scope, receive, _Sender(send, correlation_id), correlation_id)
+
+    async def _answer(self, scope: Scope, receive: Receive, sender: "_Sender", correlation_id: str) -> None:
+        started = time.perf_counter()
+        try:
+            if (refusal := self._origin_check.refusal(scope)) is not None:
+                await answer(refusal, scope["path"])(scope, receive, sender)
+            else:
+                await self._app(scope, receive, sender)
+        except Exception:
+            log.exception("request_crashed", method=scope["method"], path=scope["path"])
+            if sender.status:  # Part of the answer is sent: only a broken connection can report this.
+                raise
+            await answer(UnexpectedError(correlation_id), scope["path"])(scope, receive, sender)
+        seconds = round(time.perf_counter() - started, 4)
+        log.info(
+            "request_answered",
+            method=scope["method"],
+            path=scope["path"],
+            status=sender.status,
+            seconds=seconds,
+        )
+
+
+class _Sender:
+    """Sends the answer with the correlation id, and keeps its status; 0 before the answer begins."""
+
+    def __init__(self, send: Send, correlation_id: str) -> None:
+        self.status = 0
+        self._send = send
+        self._correlation_id = correlation_id
+
+    async def __call__(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            MutableHeaders(scope=message)[HEADER] = self._correlation_id
+        await self._send(message)

@@ -9,9 +9,7 @@ from fastapi import Depends, Path, Request
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from api.curve_cache import CurveCache
-from api.recent import RecentAnswers
-from api.shared_reads import SharedReads
-from api.watching import JobWatcher
+from api.shared_reads import JobWatcher, RecentAnswers, SharedReads
 from core.jobs import feeds
 from core.jobs.job import JOB_ID, check_job_id
 from core.jobs.queue import JobQueue

@@ -1,8 +1,13 @@
-"""The response for an artifact: streamed in pieces, with ETag, byte ranges and a safe media type."""
+"""The response for an artifact: streamed in pieces, with ETag, byte ranges and a safe media type.
+
+Ranges are those of RFC 9110, sections 13 and 14.
+"""
 
 import hashlib
-from collections.abc import AsyncIterator, Iterator
+import re
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
 
@@ -14,9 +19,7 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from api.dependencies import Service
-from api.errors import RangeNotSatisfiable
-from api.problems import refusals
-from api.ranges import ByteRange, is_known, requested_range
+from api.problems import RangeNotSatisfiable, refusals
 from core.errors import (
     ArtifactNotFound,
     ArtifactNotReady,
@@ -30,11 +33,55 @@ from core.errors import (
 from core.jobs.job import Artifact
 from core.storage.whole import OTHER_BYTES, check_whole, read_whole
 
+_ONE_RANGE = re.compile(r"bytes=[ \t]*(\d{0,19})-(\d{0,19})[ \t]*", re.ASCII | re.IGNORECASE)
 log = structlog.get_logger()
-
 # A file up to this size is read before its answer begins.
 _READ_FIRST_BYTES = 2 * 2**20
 _MOST_BROKEN_KEPT = 1000
+
+
+@dataclass(frozen=True)
+class ByteRange:
+    """Bytes [start, start + length) of `size`."""
+
+    start: int
+    length: int
+    size: int
+
+    @property
+    def content_range(self) -> str:
+        return f"bytes {self.start}-{self.start + self.length - 1}/{self.size}"
+
+
+def requested_range(headers: Mapping[str, str], size: int, etag: str) -> ByteRange | None:
+    """The range to send, or None for the whole file: the request has no range, several, an invalid one, or
+    one of another version (If-Range). Raises RangeNotSatisfiable where the range begins past the end."""
+    found = _ONE_RANGE.fullmatch(headers.get("range", ""))
+    if found is None or found[0] == "bytes=-" or headers.get("if-range", etag) != etag:
+        return None
+    first, last = found[1], found[2]
+    if not first:
+        return _suffix(int(last), size) if last else None
+    start = int(first)
+    if last and int(last) < start:
+        return None
+    if start >= size:
+        raise RangeNotSatisfiable(size)
+    end = min(int(last), size - 1) if last else size - 1
+    return ByteRange(start, end - start + 1, size)
+
+
+def is_known(headers: Mapping[str, str], etag: str) -> bool:
+    """Whether the client has this version already (If-None-Match; weak comparison)."""
+    known = [tag.strip().removeprefix("W/") for tag in headers.get("if-none-match", "").split(",")]
+    return etag in known or known == ["*"]
+
+
+def _suffix(length: int, size: int) -> ByteRange:
+    if not length or not size:
+        raise RangeNotSatisfiable(size)
+    length = min(length, size)
+    return ByteRange(size - length, length, size)
 
 
 def responses(media_type: str) -> dict[int | str, dict[str, Any]]:

@@ -2,26 +2,23 @@
 
 from api.routes import (
     catalog,
-    events,
     files,
     health,
     jobs,
-    logs,
     metrics,
     models,
     page,
     previews,
-    problems,
     replay,
     sharing,
+    streams,
     sweeps,
 )
 
 ROUTERS = (
     jobs.router,
-    events.router,
+    streams.router,
     metrics.router,
-    logs.router,
     files.router,
     replay.router,
     sharing.router,
@@ -30,6 +27,5 @@ ROUTERS = (
     previews.router,  # Before the catalog's, whose ids may have slashes.
     catalog.router,
     health.router,
-    problems.router,
     page.router,
 )

@@ -7,10 +7,9 @@ from fastapi import APIRouter, Path, Query
 from pydantic import Field
 
 from api.dependencies import Parameters, ServiceDep
-from api.environment_views import AlgorithmView, environment_details, environment_view
-from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
 from api.problems import refusals
-from api.views import Listing
+from api.submissions import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
+from api.views import AlgorithmView, Listing, environment_details, environment_view
 from core.algorithms.catalog import ALGORITHMS
 from core.bounds import LONGEST_NAME
 from core.environments.catalog import ENVIRONMENTS

@@ -6,11 +6,10 @@ from typing import Annotated, Any, Literal, cast
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import Field
 
-from api.answers import answer
 from api.dependencies import JobId, Parameters, ServiceDep
 from api.files import file_response, responses
 from api.problems import refusals
-from api.views import Listing, artifact_view
+from api.views import Listing, answer, artifact_view
 from core.algorithms.catalog import ALGORITHMS
 from core.bounds import LONGEST_NAME
 from core.errors import (

@@ -7,13 +7,11 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field
 
-from api.answers import answer
 from api.dependencies import JobId, Parameters, Service, ServiceDep
-from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
-from api.problems import refusals
-from api.recent import max_age_s
+from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
+from api.shared_reads import max_age_s
 from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
-from api.views import Listing, job_view
+from api.views import Listing, answer, job_view
 from core.errors import (
     IdempotencyKeyReused,
     JobFinished,

@@ -9,11 +9,11 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 from starlette.responses import StreamingResponse
 
-from api.answers import answer
 from api.curves import MOST_VALUES, thinned
 from api.dependencies import EntryId, JobId, Parameters, Service, ServiceDep
 from api.metrics_table import Overview, csv_lines
 from api.problems import refusals
+from api.views import answer
 from core.errors import JobNotFound, Problem, RecordsUnavailable, Rejected, StorageUnavailable
 from core.jobs import feeds
 from core.jobs.spec import Text

@@ -8,12 +8,10 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 
-from api.answers import answer
 from api.dependencies import Parameters, Service, ServiceDep
-from api.errors import BodyTooLarge, TooManyModels, UnsupportedMediaType
-from api.problems import refusals
-from api.uploads import Upload, receiving, with_end
-from api.views import Listing
+from api.problems import BodyTooLarge, TooManyModels, UnsupportedMediaType, refusals
+from api.submissions import Upload, receiving, with_end
+from api.views import Listing, answer
 from core.environments.mjcf.main_document import MAX_MAIN_CHARACTERS, with_main
 from core.errors import (
     BadModel,

@@ -1,11 +1,18 @@
-"""The web page, the HTTP interface's documentation, and the files that both are made of."""
+"""The web page, the HTTP interface's documentation, the files of both, and the pages of problems."""
 
-from fastapi import APIRouter, Request, Response
+import html
+import inspect
+from typing import Annotated
 
-from api.errors import RouteNotFound
+from fastapi import APIRouter, Path, Request, Response
+from fastapi.responses import HTMLResponse
+
 from api.page_files import PageFile, page_files
+from api.problems import RouteNotFound, classes_of_errors, refusals, status_of
+from core.bounds import LONGEST_NAME
+from core.errors import GaitwayError
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter()
 
 _CONTENT_SECURITY_POLICY = "; ".join(
     [
@@ -33,21 +40,25 @@ _PHYSICS_POLICY = _CONTENT_SECURITY_POLICY.replace(
 )
 _CHECK_EACH_TIME = "no-cache"
 _KEEP = "public, max-age=31536000, immutable"
+_PROBLEM_PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>
+<body style="font: 1rem/1.5 system-ui, sans-serif; max-width: 40rem; margin: 3rem auto; padding: 0 1rem">
+<h1>{title}</h1><p><code>{code}</code>, answered with HTTP {status}</p><p>{text}</p></body></html>
+"""
 
 
-@router.get("/")
+@router.get("/", include_in_schema=False)
 async def show_page(request: Request) -> Response:
     """The page that people use."""
     return _answer(request, page_files().by_path["index.html"], _CHECK_EACH_TIME)
 
 
-@router.get("/docs")
+@router.get("/docs", include_in_schema=False)
 async def show_docs(request: Request) -> Response:
     """The HTTP interface, to read and to try."""
     return _answer(request, page_files().by_path["docs.html"], _CHECK_EACH_TIME)
 
 
-@router.get("/pages/{version}/{path:path}")
+@router.get("/pages/{version}/{path:path}", include_in_schema=False)
 async def show_file(version: str, path: str, request: Request) -> Response:
     """A file of the page. Its address changes with its content, so that browsers may keep it.
 
@@ -70,3 +81,22 @@ def _answer(request: Request, file: PageFile, caching: str) -> Response:
             file.compressed, headers={**headers, "Content-Encoding": "gzip"}, media_type=file.media_type
         )
     return Response(file.content, headers=headers, media_type=file.media_type)
+
+
+@router.get(
+    "/problems/{code}", tags=["problems"], response_class=HTMLResponse, responses=refusals(RouteNotFound)
+)
+async def explain(
+    code: Annotated[str, Path(max_length=LONGEST_NAME, examples=["job-not-found"])],
+) -> HTMLResponse:
+    """A page that explains a type of problem."""
+    for error in classes_of_errors():
+        if error.code == code:
+            return HTMLResponse(_page(error))
+    raise RouteNotFound(f"There is no problem of the type {code[:100]!r}.")
+
+
+def _page(error: type[GaitwayError]) -> str:
+    text = inspect.getdoc(error) if "__doc__" in vars(error) and error.__doc__ else error.title
+    escaped = {"title": html.escape(error.title), "code": error.code, "text": html.escape(text or "")}
+    return _PROBLEM_PAGE.format(**escaped, status=status_of(error))

@@ -13,8 +13,8 @@ from pydantic import Field
 
 from api.dependencies import Parameters, Service, ServiceDep
 from api.files import file_response
-from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, in_the_query, parse_options
 from api.problems import refusals
+from api.submissions import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, in_the_query, parse_options
 from core.bounds import LONGEST_NAME
 from core.environments import catalog
 from core.errors import (

@@ -9,16 +9,13 @@ from fastapi import APIRouter, Request, Response
 from starlette.responses import StreamingResponse
 
 from api.dependencies import JobId, Service, ServiceDep
-from api.errors import BodyTooLarge, TooManyImports, UnsupportedMediaType
 from api.files import PiecesResponse
-from api.problems import refusals
+from api.problems import BodyTooLarge, TooManyImports, UnsupportedMediaType, refusals
 from api.sharing.archive import open_archive
-from api.sharing.export import export, first_read
+from api.sharing.export import export, first_read, zip_stream
 from api.sharing.importing import read_run
 from api.sharing.report import POLICY, open_report
-from api.sharing.zip_stream import zip_stream
-from api.submissions import IdempotencyKey
-from api.uploads import Upload, receiving
+from api.submissions import IdempotencyKey, Upload, receiving
 from api.views import job_view
 from core.errors import (
     BadExport,

@@ -6,15 +6,12 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 from pydantic import AfterValidator, Field
 
-from api.answers import answer
 from api.dependencies import Parameters, Service, ServiceDep, id_in_path
-from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
-from api.problems import refusals
+from api.openapi import EXAMPLES
+from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
 from api.routes.jobs import Cursor
 from api.submissions import RESUMPTION, IdempotencyKey, JsonBody, SubmittedSweep, idempotency, parse
-from api.sweep_examples import EXAMPLES
-from api.sweep_views import sweep_details, sweep_view
-from api.views import Listing
+from api.views import Listing, answer, sweep_details, sweep_view
 from core.errors import (
     IdempotencyKeyReused,
     JobNotFound,

@@ -1,16 +1,51 @@
-"""Reads a zip that somebody else has made: nothing is unpacked to disk, and little is in memory at a time."""
+"""Reads a zip that somebody else has made: nothing is unpacked to disk, and little is in memory at a time.
+
+Another version may have written its documents, or anybody else: every field that is kept has a bound, and
+unknown ones are ignored.
+"""
 
 import hashlib
 import io
 import zlib
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, cast
+from sys import float_info
+from typing import IO, Annotated, cast
 from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 
-from core.errors import BadExport
+from pydantic import AwareDatetime, Field, StringConstraints
 
+from api.sharing.export import FORMAT
+from core.bounds import (
+    LONGEST_MESSAGE,
+    LONGEST_NAME,
+    MOST_ATTEMPTS,
+    MOST_FILES,
+    MOST_IN_A_ROW,
+    Facts,
+    JobDocument,
+    PastStep,
+)
+from core.documents import Stored
+from core.errors import BadExport
+from core.jobs.job import ArtifactRole
+from core.jobs.spec import JobId
+from core.jobs.status import JobStatus
+from core.reasons import Reason
+
+# Times that PostgreSQL stores and Python reads.
+Moment = Annotated[
+    AwareDatetime, Field(ge=datetime(1970, 1, 1, tzinfo=UTC), lt=datetime(3000, 1, 1, tzinfo=UTC))
+]
+Name = Annotated[str, StringConstraints(max_length=LONGEST_NAME)]
+Message = Annotated[str, StringConstraints(max_length=LONGEST_MESSAGE)]
+Size = Annotated[int, Field(ge=0, le=2**60)]
+# Any number but those that are not finite.
+Number = Annotated[float, Field(ge=-float_info.max, le=float_info.max)]
+Metrics = Annotated[dict[Name, Number | None], Field(max_length=MOST_IN_A_ROW)]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 # The directory of a zip is read whole, and each entry of it takes 50 bytes or more there.
 _LONGEST_DIRECTORY = 2**20
 # A part of an upload to the object store has 8 MiB.
@@ -20,6 +55,84 @@ LONGEST_DOCUMENT = 2**20
 _LONGEST_LINE = 2**16
 _PIECE = 2**20
 _ENCRYPTED = 1
+
+
+class Format(Stored):
+    format: Annotated[int, Field(ge=0, le=10**9)] = FORMAT
+
+
+class ExportedFile(Stored):
+    path: Annotated[str, Field(max_length=2 * LONGEST_NAME)]
+    sha256: Sha256
+    size: Size
+
+
+class Contents(Stored):
+    files: Annotated[tuple[ExportedFile, ...], Field(max_length=MOST_FILES)]
+
+
+class Package(Stored):
+    gaitway: Annotated[str, Field(max_length=100)]
+
+
+class Versions(Stored):
+    service: Package
+
+
+class ExportedArtifact(Stored):
+    name: Annotated[str, Field(pattern=r"^[^/\\]+$", max_length=200)]
+    role: ArtifactRole
+    # It becomes a header of answers.
+    media_type: Annotated[str, Field(pattern=r"^[A-Za-z0-9.+-]+/[A-Za-z0-9.+-]+$", max_length=100)]
+    size: Size
+    sha256: Sha256
+    step: PastStep | None = None
+    metadata: Facts = {}
+
+
+class ExportedAttempt(Stored):
+    number: Annotated[int, Field(ge=1, le=MOST_ATTEMPTS)]
+    worker: Name
+    device: Name | None = None
+    engine: Name | None = None
+    details: Facts = {}
+    started_at: Moment
+    ended_at: Moment | None = None
+    reason: Reason | None = None
+    message: Message | None = None
+
+
+class ExportedProgress(Stored):
+    step: PastStep = 0
+    total: PastStep = 0
+    steps_per_second: Number | None = None
+    eta_s: Number | None = None
+    # Null where one was not finite.
+    metrics: Metrics = {}
+
+
+class Record(Stored):
+    """`job.json`: a JobView."""
+
+    id: JobId
+    spec: JobDocument
+    status: JobStatus
+    reason: Reason | None = None
+    message: Message | None = None
+    created_at: Moment
+    started_at: Moment | None = None
+    finished_at: Moment | None = None
+    progress: ExportedProgress = ExportedProgress()
+    attempts: Annotated[tuple[ExportedAttempt, ...], Field(max_length=MOST_ATTEMPTS)] = ()
+    artifacts: Annotated[tuple[ExportedArtifact, ...], Field(max_length=MOST_FILES)] = ()
+
+
+class Row(Stored):
+    """A line of `metrics.jsonl`."""
+
+    step: PastStep
+    time: Moment
+    values: Metrics
 
 
 class _Bounded(io.FileIO):

@@ -1,5 +1,9 @@
-"""All that is needed to run a job again elsewhere, as the members of a zip."""
+"""All that is needed to run a job again elsewhere, as the members of a zip.
 
+The zip is made while it is sent: no member is ever whole in memory, and nothing is written to disk.
+"""
+
+import io
 import json
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -7,10 +11,10 @@ from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from itertools import chain
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 from api.dependencies import Service
 from api.metrics_table import Overview, csv_lines
-from api.sharing.zip_stream import Member
 from api.views import job_view
 from core.errors import ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs import feeds
@@ -20,6 +24,8 @@ from core.jobs.store import Channel, Entry
 from core.storage import keys
 from core.storage.whole import check_whole
 
+# An older date cannot be said in a zip. A fixed one makes equal exports equal.
+_WHEN = (1980, 1, 1, 0, 0, 0)
 # Increase it when an older reader would misread the file.
 FORMAT = 1
 # Only the newest file of each of these roles is exported.
@@ -36,6 +42,55 @@ _README = (
     "To look at it: metrics.csv, log.txt, files/video.mp4; a program elsewhere acts by files/policy.npz or "
     "files/policy.onnx.\n"
 )
+
+
+@dataclass(frozen=True)
+class Member:
+    """A file of the zip. pieces: read as it is sent. compress: whether that makes it smaller."""
+
+    path: str
+    pieces: Iterable[bytes]
+    compress: bool = True
+
+
+class _Pipe(io.RawIOBase):
+    """Takes what the zip writes. It cannot go back, so that a member's size follows its bytes."""
+
+    def __init__(self) -> None:
+        self._written = bytearray()
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, piece: object) -> int:
+        before = len(self._written)
+        self._written += memoryview(piece)  # pyright: ignore[reportArgumentType] # whatever has bytes
+        return len(self._written) - before
+
+    def taken(self) -> bytes:
+        taken = bytes(self._written)
+        self._written.clear()
+        return taken
+
+
+def zip_stream(members: Iterable[Member]) -> Iterator[bytes]:
+    """The bytes of a zip (64-bit where needed) of these members, in about the pieces that they come in.
+
+    An error of a member's pieces ends it, so that what arrived has no directory and no program opens it.
+    """
+    pipe = _Pipe()
+    with ZipFile(pipe, "w", allowZip64=True) as archive:
+        for member in members:
+            info = ZipInfo(member.path, _WHEN)
+            info.compress_type = ZIP_DEFLATED if member.compress else ZIP_STORED
+            info.external_attr = 0o644 << 16
+            with archive.open(info, "w", force_zip64=True) as file:
+                for piece in member.pieces:
+                    file.write(piece)
+                    if written := pipe.taken():
+                        yield written
+            yield pipe.taken()
+    yield pipe.taken()
 
 
 @dataclass

@@ -13,8 +13,7 @@ from pydantic_core import from_json, to_json
 
 from api.dependencies import Service
 from api.sentences import body_problems
-from api.sharing.archive import Archive
-from api.sharing.documents import Contents, Format, Record, Row, Versions
+from api.sharing.archive import Archive, Contents, Format, Record, Row, Versions
 from api.sharing.export import FORMAT
 from api.submissions import parse
 from core.algorithms.catalog import reported

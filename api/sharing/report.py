@@ -8,8 +8,7 @@ from enum import Enum, auto
 from html import escape
 
 from api.dependencies import Service
-from api.page_files import page_files
-from api.sharing.modules import embedded_modules
+from api.page_files import embedded_modules, page_files
 from api.sharing.report_sections import (
     NEEDS_SCRIPTS,
     curves_of,

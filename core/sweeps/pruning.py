@@ -95,7 +95,10 @@ class _Known:
 
 
 class Curves:
-    """A cache over the feeds: a process without it reads them from the beginning and finds the same."""
+    """The objective's values of running trials, read from their events; only what came since is read again.
+
+    A process without this cache reads the feeds from the beginning and finds the same.
+    """
 
     def __init__(self, store: JobStore, objects: ObjectStore) -> None:
         self._store = store

@@ -212,7 +212,7 @@ def test_no_more_than_two_are_imported_at_once(stack: Stack, exported: bytes) ->
 def test_an_upload_that_stops_coming_gives_its_place_up(
     stack: Stack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("api.uploads._LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr("api.submissions._LONGEST_PAUSE_S", 0.2)
     head = (
         f"POST /jobs/import HTTP/1.1\r\nHost: 127.0.0.1:{stack.port}\r\n"
         "Content-Type: application/zip\r\nContent-Length: 1000\r\n\r\n"
@@ -229,7 +229,7 @@ def test_an_upload_that_comes_too_slowly_gives_its_place_up(
     stack: Stack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """M10: a byte before each pause ends kept a place for ever."""
-    monkeypatch.setattr("api.uploads._LONGEST_PAUSE_S", 0.5)
+    monkeypatch.setattr("api.submissions._LONGEST_PAUSE_S", 0.5)
     head = (
         f"POST /jobs/import HTTP/1.1\r\nHost: 127.0.0.1:{stack.port}\r\n"
         "Content-Type: application/zip\r\nContent-Length: 1000\r\n\r\n"

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from api.app import interface
 from api.openapi import describe
-from api.sharing import documents
+from api.sharing import archive
 from core.environments.catalog import ENVIRONMENTS
 
 Schema = dict[str, Any]
@@ -116,7 +116,7 @@ def test_every_option_of_every_environment_has_a_bound() -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", [documents.Contents, documents.Format, documents.Record, documents.Row, documents.Versions]
+    "kind", [archive.Contents, archive.Format, archive.Record, archive.Row, archive.Versions]
 )
 def test_every_field_of_the_documents_of_an_import_has_a_bound(kind: type[BaseModel]) -> None:
     """H2, H3: those of the record and of the metrics had none."""

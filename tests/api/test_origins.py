@@ -3,8 +3,8 @@
 import httpx
 import pytest
 
-from api.errors import CrossSiteRequest, UnknownHost
-from api.origins import OriginCheck
+from api.app import OriginCheck
+from api.problems import CrossSiteRequest, UnknownHost
 from tests.api.problems import problem
 
 JOB = {"kind": "train", "environment": "ant"}

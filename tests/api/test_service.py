@@ -19,8 +19,7 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 
 from api.app import build
-from api.errors import MalformedBody
-from api.problems import classes_of_errors, status_of
+from api.problems import MalformedBody, classes_of_errors, status_of
 from api.submissions import EXAMPLES, parse
 from core.adapters.wiring import object_store
 from core.algorithms.catalog import ALGORITHMS

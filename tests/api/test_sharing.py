@@ -16,7 +16,7 @@ from zipfile import ZipFile
 import httpx
 import pytest
 
-from api.sharing.zip_stream import Member, zip_stream
+from api.sharing.export import Member, zip_stream
 from core.adapters.memory.objects import MemoryObjectStore
 from core.jobs.status import JobStatus
 from core.reasons import Reason

@@ -15,7 +15,7 @@ import pytest
 from sqlalchemy import event
 from structlog.testing import capture_logs
 
-from api import following
+from api import streams
 from core.jobs import feeds
 from core.jobs.feeds import compact
 from core.jobs.job import Progress
@@ -127,7 +127,7 @@ def test_many_watchers_keep_no_other_request_waiting(stack: Stack, attempt: Atte
 def test_silence_is_broken_by_comments(
     stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(following, "HEARTBEAT_S", 0.1)
+    monkeypatch.setattr(streams, "HEARTBEAT_S", 0.1)
     with stack.http.stream("GET", f"/jobs/{attempt.id}/events") as answer:
         lines = answer.iter_lines()
         assert next(line for line in lines if line.startswith(":")) == ": still here"
@@ -313,16 +313,16 @@ def test_a_watcher_who_leaves_is_forgotten(
     stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ended = threading.Event()
-    follow = following.Follower.coming
+    follow = streams.Follower.coming
 
-    async def watched(self: following.Follower) -> AsyncIterator[Sequence[Entry]]:
+    async def watched(self: streams.Follower) -> AsyncIterator[Sequence[Entry]]:
         try:
             async for page in follow(self):
                 yield page
         finally:
             ended.set()
 
-    monkeypatch.setattr(following.Follower, "coming", watched)
+    monkeypatch.setattr(streams.Follower, "coming", watched)
     with stack.http.stream("GET", f"/jobs/{attempt.id}/events") as answer:
         next(events(answer))
         assert stack.service.watcher.is_looking
@@ -513,10 +513,10 @@ def is_look(statement: str) -> bool:
 def test_an_outage_between_two_pages_is_waited_out_and_not_hammered(
     stack: Stack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(following, "_PAGE", 2)
+    monkeypatch.setattr(streams, "_PAGE", 2)
     attempt = Attempt(stack, job())
     attempt.print("a", "b", "c")
-    follower = following.Follower(stack.service, stack.store.get(attempt.id), "logs", 0)
+    follower = streams.Follower(stack.service, stack.store.get(attempt.id), "logs", 0)
 
     async def follow() -> int:
         coming = follower.coming()

@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import pytest
 
-from api.sweep_examples import EXAMPLES
+from api.openapi import EXAMPLES
 from core.jobs.job import Progress
 from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus

@@ -16,9 +16,9 @@ from hypothesis import settings as searching
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from api.errors import MalformedBody, RangeNotSatisfiable
-from api.origins import OriginCheck
-from api.ranges import is_known, requested_range
+from api.app import OriginCheck
+from api.files import is_known, requested_range
+from api.problems import MalformedBody, RangeNotSatisfiable
 from api.routes.jobs import Listed
 from api.submissions import EXAMPLES, fingerprint, parse
 from core.adapters.cursors import check_cursor

@@ -7,7 +7,16 @@ import httpx
 import pytest
 
 from api.page_files import page_files
-from api.vendoring import ROOT, NotAsLocked, Package, VendoredFile, bring, read_lock, read_vendored, sha512
+from gaitway.service.vendoring import (
+    ROOT,
+    NotAsLocked,
+    Package,
+    VendoredFile,
+    bring,
+    read_lock,
+    read_vendored,
+    sha512,
+)
 from tests.api.conftest import Stack
 from tests.api.problems import problem
 
@@ -33,7 +42,7 @@ def test_an_archive_with_another_digest_is_refused(monkeypatch: pytest.MonkeyPat
     def fetch(package: Package, folder: object) -> object:
         return ROOT / "LICENSE"
 
-    monkeypatch.setattr("api.vendoring._fetch", fetch)
+    monkeypatch.setattr("gaitway.service.vendoring._fetch", fetch)
     package = Package(name="x", version="1", licence="MIT", integrity="sha512-other", files=[])
     with pytest.raises(NotAsLocked, match="x has the digest"):
         bring(package)

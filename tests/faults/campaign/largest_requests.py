@@ -19,8 +19,8 @@ from zipfile import ZIP_STORED, ZipFile
 
 import httpx
 
-from api.options import MAX_OPTIONS_LENGTH
 from api.sharing.importing import MOST_LINES, MOST_LOG_BYTES, MOST_VALUES
+from api.submissions import MAX_OPTIONS_LENGTH
 from core.bounds import LONGEST_NAME, MOST_ATTEMPTS, MOST_IN_A_ROW
 from core.settings import ApiSettings
 from core.sweeps.spec import MAX_TRIALS

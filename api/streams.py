@@ -1,17 +1,22 @@
-"""A job's feeds as streams that end when the job does.
+"""A job's feeds as streams that end when the job does; events are server-sent (WHATWG HTML, section 9.2).
 
 A waiting client costs neither a thread nor a query: the process has one `JobWatcher`, which tells when a job
 has changed, and only then is the feed read, once for all who have read it up to the same entry. Streams read
 in a thread pool of their own, so that they never keep other requests waiting.
+
+FastAPI's own `EventSourceResponse` does not fit: it sends 200 before the first entry is read, but a browser
+that reconnects after the end must get 204, which makes it stop.
 """
 
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Collection, Sequence
 
 import structlog
 from anyio import to_thread
+from pydantic_core import to_json
 
 from api.dependencies import Service
+from api.views import job_view
 from core.errors import JobNotFound, Unavailable
 from core.jobs import feeds
 from core.jobs.job import Job, UnreadableJob
@@ -24,6 +29,8 @@ HEARTBEAT_S = 15.0
 _PAGE = 500
 # How often a waiting stream checks whether the service is stopping or a heartbeat is due.
 _POLL_S = 1.0
+MEDIA_TYPE = "text/event-stream"
+HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 
 
 class Follower:
@@ -102,3 +109,49 @@ def look(service: Service, job_id: str, channel: Channel, after: int = 0) -> tup
     """The job, and whether its feed has entries after `after`. Errors arise here, before a stream begins."""
     job = service.store.find(job_id)
     return job, bool(service.read_feed(job_id, channel, after=after, limit=1))
+
+
+async def event_stream(
+    follower: Follower, kinds: Collection[str] = (), *, follow: bool = True
+) -> AsyncIterator[bytes]:
+    """The entries of these kinds (none: of all), a comment in each silence, at the end the final status.
+
+    Without `follow`, only the present entries.
+    """
+    told = False
+    yield b"retry: 2000\n\n"
+    async for page in follower.coming() if follow else follower.present():
+        told = told or any(_is_the_end(entry) for entry in page)
+        wanted = [entry for entry in page if not kinds or entry.kind in kinds or _is_the_end(entry)]
+        yield encoded(wanted) if wanted else b": still here\n\n"
+    if not follow:
+        return
+    if follower.status is not None and follower.status.is_final and not told:
+        # The feed of an imported job need not have its end.
+        yield encoded([_final(await follower.job())])
+
+
+def encoded(entries: Sequence[Entry]) -> bytes:
+    """Entries as bytes. data: a JSON object {"time", "data"}; numbers that are not finite become null."""
+    return b"".join(
+        (f"id: {entry.id}\n" if entry.id else "").encode()
+        + f"event: {entry.kind}\ndata: ".encode()
+        + to_json({"time": entry.time, "data": entry.data}, inf_nan_mode="null")
+        + b"\n\n"
+        for entry in entries
+    )
+
+
+def _is_the_end(entry: Entry) -> bool:
+    return entry.kind == "status" and JobStatus(entry.data["status"]).is_final
+
+
+def _final(job: Job | UnreadableJob) -> Entry:
+    view = job_view(job)
+    data = {
+        "status": view.status,
+        "reason": view.reason,
+        "message": view.message,
+        "attempt": len(view.attempts),
+    }
+    return Entry(kind="status", time=job.finished_at or job.created_at, data=data)
