@@ -72,7 +72,7 @@ def test_it_is_used_like_any_ended_job(stack: Stack, exported: bytes) -> None:
         document = problem(stack.http.delete(f"/jobs/{found}"), 409, "job-in-use")
         assert document["jobs"] == [borrower]
         stack.http.post(f"/jobs/{borrower}/cancel")
-    for part in ("video", "policy", "specification", "report.html", "curve", "export", "checkpoints/200"):
+    for part in ("video", "policy", "specification", "report.html", "export", "checkpoints/200"):
         assert stack.http.get(f"/jobs/{found}/{part}").status_code == 200
     report = stack.http.get(f"/jobs/{found}/report.html").text
     assert "imported: job 019aa3c2f0b1-5be0c1d2e3 of a service with Gaitway" in report
