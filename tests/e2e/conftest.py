@@ -14,11 +14,17 @@ from gaitway.client import Client
 from gaitway.service.embedded.processes import free_ports
 from tests.compiling import compiling_quickly
 from tests.e2e.installed import Installed, install
+from tests.kept_programs import KEPT
+from worker.compile_cache.local import CACHE, lend, take_over
 
 
 @contextmanager
 def serving(data: Path) -> Iterator[Client]:
-    """A client of a stack with one worker, which starts in this environment. data: its folder."""
+    """A client of a stack with one worker, which starts in this environment. data: its folder.
+
+    The worker finds what earlier stacks compiled.
+    """
+    lend(KEPT / "service", programs := data / CACHE / KEPT.name)
     port = free_ports(1)[0]
     command = [sys.executable, "-m", "gaitway.service.embedded.up", "--data", str(data), "--port", str(port)]
     stack = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
@@ -28,6 +34,7 @@ def serving(data: Path) -> Iterator[Client]:
         yield client
         stack.send_signal(signal.SIGTERM)
         stack.communicate(timeout=60)
+    take_over(programs, KEPT / "service")
 
 
 @pytest.fixture(scope="module")
