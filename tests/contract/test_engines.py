@@ -337,6 +337,7 @@ def test_the_engines_move_every_body_alike(
     assert_moves_as_on_native(name, environment)
 
 
+@pytest.mark.extra
 def test_compiled_physics_moves_a_small_star_as_native_does() -> None:
     assert_moves_as_on_native("compiled", "brittle_star", **SMALL_STAR)
 

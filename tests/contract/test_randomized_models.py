@@ -219,6 +219,7 @@ def test_a_field_that_no_environment_can_have_to_itself_is_refused(bench: Random
         bench.engine.reset(jnp.asarray(QPOS), jnp.asarray(QVEL), {"geom_margin": jnp.zeros(3)})
 
 
+@pytest.mark.extra
 def test_pendulums_of_different_mass_and_damping_swing_apart_on_mjx() -> None:
     # What of the above MJX compiles in seconds.
     model = mujoco.MjModel.from_xml_string(
@@ -246,6 +247,7 @@ def test_every_field_is_tried_here() -> None:
     assert {*CHANGES, *CONSTANTS, *GEOMETRY} - {"nothing"} == set(MODEL_FIELDS)
 
 
+@pytest.mark.extra
 @pytest.mark.usefixtures("warp_kernels")
 def test_warp_refuses_the_damping_that_it_cannot_tell_apart() -> None:
     model = mujoco.MjModel.from_xml_string(BODY)

@@ -16,6 +16,7 @@ from core.algorithms.run import Run
 from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
 from core.errors import JobFailed
 from tests import probes
+from tests.extra import extra
 from tests.learning.dqn_runs import STEPS_PER_UPDATE as DQN_STEPS_PER_UPDATE
 from tests.learning.dqn_runs import dqn_run
 from tests.learning.runs import STEPS_PER_UPDATE, small_run
@@ -36,8 +37,10 @@ class Case:
 @pytest.fixture(
     params=[
         Case(small_run, STEPS_PER_UPDATE, 32, PPO_FORMAT),
-        Case(sac_run, SAC_STEPS_PER_UPDATE, 16, SAC_FORMAT),
-        Case(dqn_run, DQN_STEPS_PER_UPDATE, 16, DQN_FORMAT),
+        *extra(
+            Case(sac_run, SAC_STEPS_PER_UPDATE, 16, SAC_FORMAT),
+            Case(dqn_run, DQN_STEPS_PER_UPDATE, 16, DQN_FORMAT),
+        ),
     ],
     ids=["ppo", "sac", "dqn"],
 )

@@ -171,6 +171,7 @@ def test_a_seeds_policy_is_the_one_in_its_part_of_the_checkpoint() -> None:
         of_seed(run.checkpoint(), 7)
 
 
+@pytest.mark.extra
 def test_a_checkpoint_is_for_the_same_seeds_alone() -> None:
     run, alone = seeds_run(PPO, probes.endless()), small_run(probes.endless(), **PPO.budget)
     for one in (run, alone):

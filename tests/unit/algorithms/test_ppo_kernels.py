@@ -19,6 +19,7 @@ from core.algorithms.ppo.loss import ADAM, Hyperparameters, loss_of
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from tests import probes
+from tests.extra import extra
 
 OBS, ACT = 5, 3
 SETTINGS = {
@@ -68,13 +69,13 @@ def networks_and_batch(spec: PPOSpec) -> tuple[Any, Any, Transition]:
     return networks, init_params(networks, jax.random.PRNGKey(0)), batch
 
 
-@pytest.mark.parametrize("activation", ["tanh", "swish"])
+@pytest.mark.parametrize("activation", ["swish", *extra("tanh")])
 def test_the_gradient_and_the_losses_are_those_of_braxs_loss(activation: str) -> None:
     spec = settings(activation=activation)
     compare_with_brax(spec, *networks_and_batch(spec))
 
 
-@pytest.mark.parametrize("offset", [1e4, 1e5])
+@pytest.mark.parametrize("offset", [1e5, *extra(1e4)])
 def test_l2_the_gradient_is_braxs_where_rewards_are_large(offset: float) -> None:
     """As the audit's kernel_variance.py measures it: a mean of squares had no digits left."""
     spec = settings(unroll_length=1)
@@ -143,6 +144,7 @@ class _Sized(Learner):
         return make_networks(OBS, ACT, self.settings, normalize=normalize)
 
 
+@pytest.mark.extra
 def test_runs_that_train_together_each_get_their_own_result() -> None:
     spec = settings()
     _, params, batch = networks_and_batch(spec)
@@ -159,7 +161,7 @@ def test_runs_that_train_together_each_get_their_own_result() -> None:
             np.testing.assert_allclose(stacked[index], single, atol=1e-6)
 
 
-@pytest.mark.parametrize("activation", ["tanh", "swish", "relu", "elu"])
+@pytest.mark.parametrize("activation", ["swish", *extra("tanh", "relu", "elu")])
 def test_triton_takes_what_the_kernels_do(activation: str) -> None:
     spec = settings(activation=activation)
     _, params, batch = networks_and_batch(spec)

@@ -22,6 +22,7 @@ from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
 from core.physics.compiled.substep import State, read_model, substep
 from core.physics.model import with_solver_of_compiled
+from tests.extra import extra
 from tests.unit.physics.compiled.test_machine_code import run
 from tests.unit.physics.compiled.test_substep import (
     Arrays,
@@ -125,7 +126,7 @@ def in_double(program: Program, given: dict[str, Arrays]) -> dict[str, Arrays]:
 
 
 @pytest.mark.parametrize("is_converged", [True, False], ids=["converged", "as in training"])
-@pytest.mark.parametrize("name", ["ant", "humanoid"])
+@pytest.mark.parametrize("name", ["ant", *extra("humanoid")])
 def test_single_precision_errs_as_rounded_inputs_would(name: str, *, is_converged: bool) -> None:
     one = computed(name, is_converged=is_converged)
     for field in MOVED:
@@ -133,7 +134,7 @@ def test_single_precision_errs_as_rounded_inputs_would(name: str, *, is_converge
         np.testing.assert_array_less(quantiles(errors), one.rounded(field), err_msg=field)
 
 
-@pytest.mark.parametrize("name", ["ant", "humanoid"])
+@pytest.mark.parametrize("name", ["ant", *extra("humanoid")])
 def test_training_s_settings_cost_no_more_accuracy_than_in_mujoco(name: str) -> None:
     """Both against C MuJoCo converged. Our line search takes other steps, after which a state is nearer or
     farther: measured are 1.000 times MuJoCo's 99th percentile (ant), and 1.013 times (humanoid)."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
 from core.physics.compiled.substep import State, control_step, read_model
+from tests.extra import extra
 from tests.unit.physics.compiled.test_machine_code import run
 from tests.unit.physics.compiled.test_substep import THOROUGH
 
@@ -141,7 +142,7 @@ def test_a_box_slides_with_the_friction_of_its_weight(precision: Precision) -> N
     np.testing.assert_allclose(qvel[:2], expected, rtol=0, atol=n * precision.rounding * GRAVITY)
 
 
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
+@pytest.mark.parametrize("cone", ["elliptic", *extra("pyramidal")])
 def test_a_box_at_rest_stays_where_its_contacts_carry_it(precision: Precision, cone: str) -> None:
     # Four corners push with d / (1 - d) · m · k d r each, k = 1 / (d τ)², and carry m g. A pyramid has four
     # edges, each of which is softer by 2 μ² (1 + μ²).

@@ -11,6 +11,7 @@ from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.physics.compiled.coverage import uncovered
 from core.physics.compiled.substep import State, read_model
+from tests.extra import extra
 from tests.unit.physics.compiled.recorded_substep import recorded
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
 from tests.unit.physics.compiled.test_substep import THOROUGH, converge, of_all, relative
@@ -89,11 +90,13 @@ def falling(model: mujoco.MjModel, speed: float = 1.0) -> list[mujoco.MjData]:
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: limbs(joint='frictionloss="0.5"', tendons=TENDONS),
-        lambda: limbs(trunk="ellipsoid", geom='condim="4"'),
         lambda: limbs(cone="elliptic", impratio="3", geom='condim="6"', trunk="cylinder"),
+        *extra(
+            lambda: limbs(joint='frictionloss="0.5"', tendons=TENDONS),
+            lambda: limbs(trunk="ellipsoid", geom='condim="4"'),
+        ),
     ],
-    ids=["box, friction loss, tendons", "ellipsoid, turning", "cylinder, elliptic"],
+    ids=["cylinder, elliptic", "box, friction loss, tendons", "ellipsoid, turning"],
 )
 def test_a_body_with_all_kinds_of_contacts_moves_as_in_mujoco(make: Callable[[], mujoco.MjModel]) -> None:
     model = converge(make(), implicit_damping=True)
@@ -145,6 +148,7 @@ BLOCKS = """
 """
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("option", ["", 'cone="elliptic" impratio="3"'], ids=["pyramidal", "elliptic"])
 def test_blocks_fall_on_platforms_and_on_each_other_as_in_mujoco(option: str) -> None:
     model = converge(mujoco.MjModel.from_xml_string(BLOCKS.format(option=option)), implicit_damping=True)

@@ -15,6 +15,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from core.physics.compiled.coverage import uncovered
@@ -107,6 +108,7 @@ def moved(ours: Model, begun: list[Arrays], chosen: NDArray[np.intp], limits: Ma
     return recorded(model, state, ctrl)(state, ctrl)
 
 
+@pytest.mark.extra
 def test_random_models_are_refused_or_move_as_in_mujoco() -> None:
     seen = Counter[str]()
     for seed in range(NUM_MODELS):

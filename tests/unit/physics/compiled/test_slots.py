@@ -14,6 +14,7 @@ from core.physics.compiled.program.arithmetic import Number, cosine, dot, maximu
 from core.physics.compiled.program.flow import repeat, where_needed
 from core.physics.compiled.program.program import Program
 from core.physics.compiled.substep import State, control_step, read_model
+from tests.extra import extra
 from tests.unit.physics.compiled.test_substep import converged, of_all, states
 
 WIDTH = 8
@@ -89,7 +90,7 @@ def test_sections_change_no_bit(body: Body, section_size: int) -> None:
     np.testing.assert_array_equal(whole.view(np.uint32), parted.view(np.uint32))
 
 
-@pytest.mark.parametrize("name", ["ant", "half_cheetah"])
+@pytest.mark.parametrize("name", ["half_cheetah", *extra("ant")])
 def test_a_control_step_in_sections_has_the_same_bits(name: str) -> None:
     model = converged(name, implicit_damping=True)
     model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 4, 8, 1e-7
