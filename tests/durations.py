@@ -21,8 +21,9 @@ _seconds = dict[str, tuple[float, float]]()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, Any, Any]:
     item.stash[_BEGAN] = _now()
+    item.stash[_IS_LAST] = nextitem is None
     return (yield)
 
 
@@ -30,8 +31,13 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    # With the last test of a process its servers end: what they took is not that test's.
+    if call.when != "teardown" or not item.stash[_IS_LAST]:
+        item.stash[_ENDED] = _now()
     if call.when == "teardown":
-        wall, processor = (now - began for now, began in zip(_now(), item.stash[_BEGAN], strict=True))
+        wall, processor = (
+            end - began for end, began in zip(item.stash[_ENDED], item.stash[_BEGAN], strict=True)
+        )
         item.user_properties.append(("seconds", [round(wall, 3), round(processor, 3)]))
     return (yield)
 
@@ -99,4 +105,5 @@ def _now() -> tuple[float, float]:
     return time.monotonic(), times.user + times.system + times.children_user + times.children_system
 
 
-_BEGAN = pytest.StashKey[tuple[float, float]]()
+_BEGAN, _ENDED = pytest.StashKey[tuple[float, float]](), pytest.StashKey[tuple[float, float]]()
+_IS_LAST = pytest.StashKey[bool]()

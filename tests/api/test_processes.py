@@ -103,6 +103,7 @@ def test_one_that_dies_is_replaced_and_all_end_together(service: Service, settin
     store.close()
 
 
+@pytest.mark.extra
 def test_they_end_with_the_process_that_watches_them(service: Service) -> None:
     children = service.serving().values()
     service.process.kill()
