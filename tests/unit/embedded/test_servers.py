@@ -21,6 +21,7 @@ from gaitway.service.embedded.processes import ServerFailed, are_free, free_port
 from gaitway.service.embedded.servers import EmbeddedServers
 from gaitway.service.embedded.valkey import Valkey
 from gaitway.service.embedded.weed import Weed
+from tests.extra import extra
 from tests.unit.jobs.making import make_job
 
 LAUNCHER = """
@@ -98,7 +99,7 @@ class TestTogether:
             assert pid is not None
             assert os.getpgid(pid) == pid
 
-    @pytest.mark.parametrize("name", ["postgres", "valkey", "weed"])
+    @pytest.mark.parametrize("name", ["valkey", *extra("postgres", "weed")])
     def test_one_that_ended_is_noticed(self, name: str, tmp_path: Path) -> None:
         with EmbeddedServers(tmp_path) as running:
             running.check()
@@ -116,7 +117,7 @@ def _without_sockets(environment: dict[str, str]) -> dict[str, str]:
 
 
 class TestRestart:
-    @pytest.mark.parametrize("ending", ["stop", "kill"])
+    @pytest.mark.parametrize("ending", ["kill", *extra("stop")])
     def test_everything_acknowledged_is_there_again(
         self, ending: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:

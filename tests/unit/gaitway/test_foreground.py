@@ -63,6 +63,7 @@ def trained(folder: Path, *arguments: str, interrupt: bool = False) -> tuple[int
     return process.returncode, "".join(lines)
 
 
+@pytest.mark.extra
 @pytest.mark.timeout(300)
 def test_ctrl_c_ends_a_training_with_a_checkpoint_from_which_it_goes_on(job: Path, tmp_path: Path) -> None:
     endless = ("--set", "algorithm.num_timesteps=1000000000")

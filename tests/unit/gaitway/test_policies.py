@@ -35,6 +35,7 @@ from core.algorithms.sac.spec import SACSpec
 from gaitway import PolicyUnreadable, policy
 from tests import probes
 from tests.exports import numpy_file_of
+from tests.extra import extra
 from tests.learning.q_probes import PlanarStar
 from tests.unit.algorithms.checkpoints import pack
 
@@ -190,8 +191,9 @@ def test_a_network_acts_alike(tmp_path: Path, algorithm: str) -> None:
 
 
 @pytest.mark.usefixtures("step_by_step")
-@pytest.mark.parametrize("algorithm", NETWORKS)
-@pytest.mark.parametrize("activation", get_args(Activation))
+@pytest.mark.parametrize(
+    ("algorithm", "activation"), [("ppo", "tanh"), *extra(*product(NETWORKS, get_args(Activation)))]
+)
 def test_a_network_of_any_activation_acts_alike(tmp_path: Path, activation: str, algorithm: str) -> None:
     files = files_of_network(algorithm, activation=activation)
     assert_acts_alike(tmp_path, algorithm, files, SEEN["state"])
@@ -202,9 +204,12 @@ def test_a_network_of_any_activation_acts_alike(tmp_path: Path, activation: str,
     ("algorithm", "options"),
     [
         ("ppo", {"normalize_observations_max_abs_value": 0.5}),
-        *product(
-            NETWORKS,
-            ({"normalize_observations": False}, {"action_repeat": 3}, {"policy_hidden_layer_sizes": [5]}),
+        ("sac", {"action_repeat": 3}),
+        *extra(
+            *product(
+                NETWORKS,
+                ({"normalize_observations": False}, {"action_repeat": 3}, {"policy_hidden_layer_sizes": [5]}),
+            )
         ),
     ],
     ids=lambda value: value if isinstance(value, str) else next(iter(value)),
