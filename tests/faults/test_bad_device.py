@@ -22,6 +22,8 @@ from tests.faults.bench import Bench, wait_until
 from tests.faults.outages import submitted
 from tests.unit.worker.environments import environment
 
+pytestmark = pytest.mark.extra
+
 _SAID = "A test of the device cpu failed (status 1): gpu:0 has fallen off the bus."
 
 
@@ -85,7 +87,6 @@ def device(tmp_path: Path) -> Path:
     return file
 
 
-@pytest.mark.extra
 def test_a_device_that_fails_its_first_test_takes_no_job_until_it_works(fleet: Fleet, device: Path) -> None:
     device.unlink()
     fleet.start("bad", "succeeds", device)
@@ -126,7 +127,6 @@ def test_a_card_that_breaks_under_a_job_is_set_aside_and_the_job_goes_on_elsewhe
     fleet.wait_for_states("ready")
 
 
-@pytest.mark.extra
 def test_a_crash_on_a_device_that_works_is_the_jobs_own(tmp_path: Path, job_store: PostgresJobStore) -> None:
     bench = Bench(tmp_path, job_store)
     job = bench.submit()

@@ -17,7 +17,6 @@ from core.algorithms.sac.learner import SAC
 from core.algorithms.sac.learner import Learner as SACLearner
 from tests import probes
 from tests.compiling import compiling_quickly
-from tests.extra import extra
 from tests.learning.dqn_runs import dqn_settings
 from tests.learning.runs import small_settings
 from tests.learning.sac_runs import sac_settings
@@ -71,7 +70,8 @@ CHANGES_OF = {
 }
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", *extra("sac", "dqn")])
+@pytest.mark.extra
+@pytest.mark.parametrize("algorithm", CHANGES_OF)
 def test_a_second_process_compiles_no_program_with_native_physics_whatever_numbers_changed(
     algorithm: str, tmp_path: Path
 ) -> None:
