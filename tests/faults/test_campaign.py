@@ -1,4 +1,4 @@
-"""A few seeds of the campaign (docs/reliability.md), in every run of the tests."""
+"""A few seeds of the campaign (docs/reliability.md), in every run of all tests."""
 
 import os
 import random
