@@ -18,6 +18,7 @@ from core.algorithms.compiled_functions import CompiledFunctions, in_phases, pla
 from core.algorithms.divergence import diverged
 from core.algorithms.events import Event
 from core.algorithms.loop import Loop
+from core.algorithms.profiling import UpdateTimes, update_times
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
 
@@ -103,6 +104,13 @@ class Run(Generic[S]):
         key = jax.random.fold_in(state.eval_key, seed)
         totals = self._functions.evaluate(self._algorithm.evaluated(state), key, state.num_updates)
         return self._algorithm.after_evaluation(state, jax.device_get(totals))[1]
+
+    def update_times(self, environment: Environment) -> UpdateTimes | None:
+        """The time that parts of the next update take; see `core.algorithms.profiling`.
+
+        environment: that of the run. Valid as `evaluate`.
+        """
+        return update_times(self._algorithm, self._begun, self._hyperparameters, environment)
 
     def checkpoint(self) -> bytes:
         """The whole state of the run: equal states give equal bytes.

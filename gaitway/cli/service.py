@@ -7,7 +7,7 @@ import typer
 from gaitway.cli.common import PASS_ON
 from gaitway.cli.errors import wrong_usage
 
-_NAMES = ("api", "check", "demo", "doctor", "run", "up", "worker")
+_NAMES = ("api", "check", "demo", "doctor", "play", "profile", "run", "up", "worker")
 
 
 def add_commands(app: typer.Typer) -> None:

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import compiled, read
 from core.errors import Rejected
-from core.jobs.spec import JOB_SPEC, TrainSpec
+from core.jobs.spec import JOB_SPEC, JobSpec, TrainSpec
 from core.jobs.submission import completed
 from worker.compile_cache.local import CACHE
 from worker.host.child import device_variables
@@ -50,15 +50,23 @@ def run_job(
     GaitwayError for a document that no service would accept, and where the training fails.
     """
     spec = training(document)
-    device = device_of(gpus)
     checkpoint = resume and str(resume.resolve(strict=True))
+    task = begin(spec, out, device=device_of(gpus), model=model, checkpoint=checkpoint)
+    events = Told(Path.cwd(), keeps_rows=checkpoint is not None)
+    return _train(task, spec, events)
+
+
+def begin(
+    spec: JobSpec, out: Path, *, device: str, model: Path | None, checkpoint: str | None = None
+) -> Task:
+    """The task of this process, whose working directory is `out` from now on. model: the user's own."""
     out.mkdir(parents=True, exist_ok=True)
     (out / CACHE).mkdir(exist_ok=True)
     if model is not None:
         shutil.copyfile(model, out / _MODEL)
     os.environ |= device_variables(device)
     os.chdir(out)  # MuJoCo writes its log there, and the programs' cache has a relative path.
-    task = Task(
+    return Task(
         job_id="run",
         attempt=1,
         spec=spec,
@@ -67,21 +75,24 @@ def run_job(
         model=_MODEL if model else None,
         body=_size() if model else None,
     )
-    events = Told(Path.cwd(), keeps_rows=checkpoint is not None)
-    return _train(task, spec, events)
 
 
 def training(document: dict[str, Any]) -> TrainSpec:
     """The specification of a training. Raises Rejected for any other document."""
-    try:
-        spec = completed(JOB_SPEC.validate_json(json.dumps({"kind": "train", **document})))
-    except ValidationError as error:
-        raise Rejected("\n".join(_sentences(error))) from None
+    spec = parsed({"kind": "train", **document})
     if not isinstance(spec, TrainSpec):
         raise Rejected("A rollout needs a service; `gaitway run` trains.")
     if spec.source is not None:
         raise Rejected("`resume_from` names a job of a service; here, name a file: --resume CHECKPOINT.")
     return spec
+
+
+def parsed(document: dict[str, Any]) -> JobSpec:
+    """The specification of any job. Raises Rejected where it is not valid."""
+    try:
+        return completed(JOB_SPEC.validate_json(json.dumps(document)))
+    except ValidationError as error:
+        raise Rejected("\n".join(_sentences(error))) from None
 
 
 def _train(task: Task, spec: TrainSpec, events: "Told") -> int:

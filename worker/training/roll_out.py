@@ -42,7 +42,7 @@ def roll_out(
     Nothing is kept for an attempt elsewhere, which starts again. Raises JobFailed("diverged").
     """
     events.send(built.started(policy=spec.policy.model_dump()))
-    policy, env = _policy(task, spec, built, events)
+    policy, env = policy_and_environment(task, spec, built, events)
     built = replace(built, environment=env)
     events.send(PhaseBegan(phase="acting"))
     episodes = _act(spec, built, policy, events, stopping)
@@ -115,7 +115,7 @@ def _diverged(episode: int, step: int, quantity: str) -> JobFailed:
     )
 
 
-def _policy(
+def policy_and_environment(
     task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter
 ) -> tuple[ParametricPolicy, Environment]:
     """The policy, which ignores its parameters, and the environment that it acts in."""

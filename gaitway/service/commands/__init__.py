@@ -3,12 +3,12 @@
 import typer
 
 from gaitway.cli.common import PASS_ON
-from gaitway.service.commands import check, doctor, run, services
+from gaitway.service.commands import check, doctor, play, profile, run, services
 
 
 def add_to(app: typer.Typer) -> None:
     """Add them to the program."""
-    for command in (check.check, doctor.doctor, run.run, services.up):
+    for command in (check.check, doctor.doctor, play.play, profile.profile, run.run, services.up):
         app.command()(command)
     for command in (services.demo, services.api, services.worker):
         app.command(context_settings=PASS_ON)(command)

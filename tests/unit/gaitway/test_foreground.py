@@ -44,10 +44,13 @@ def job(tmp_path: Path) -> Path:
     return path
 
 
-def trained(folder: Path, *arguments: str, interrupt: bool = False) -> tuple[int, str]:
-    """The exit status and the output of `gaitway run`. interrupt: by Ctrl-C at the first progress."""
+def trained(folder: Path, *arguments: str, command: str = "run", interrupt: bool = False) -> tuple[int, str]:
+    """The exit status and the output of `gaitway run`, or of another command in this folder.
+
+    interrupt: by Ctrl-C at the first progress.
+    """
     with subprocess.Popen(
-        [*GAITWAY, "run", *arguments],
+        [*GAITWAY, command, *arguments],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
         stdout=subprocess.PIPE,
