@@ -14,6 +14,7 @@ import pytest
 from tests.api.conftest import Stack
 from tests.api.exports import Change, bring, changed, edit, sent_in_pieces, with_file, without
 from tests.api.problems import problem
+from tests.extra import extra
 
 _ATTEMPT = {"number": 1, "worker": "w", "started_at": "2026-11-20T12:00:00Z"}
 
@@ -121,7 +122,9 @@ BAD: dict[str, tuple[Change, str]] = {
 }
 
 
-@pytest.mark.parametrize("what", BAD)
+@pytest.mark.parametrize(
+    "what", [*list(BAD)[::3], *extra(*(what for number, what in enumerate(BAD) if number % 3))]
+)
 def test_what_is_no_whole_export_is_refused_and_leaves_nothing(
     stack: Stack, exported: bytes, what: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

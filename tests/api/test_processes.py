@@ -20,6 +20,8 @@ from core.jobs.store import JobQuery
 from core.settings import StoreSettings, WorkerSettings
 from gaitway.service.embedded.processes import are_free
 
+pytestmark = pytest.mark.extra
+
 NUMBER = 2
 
 
@@ -103,7 +105,6 @@ def test_one_that_dies_is_replaced_and_all_end_together(service: Service, settin
     store.close()
 
 
-@pytest.mark.extra
 def test_they_end_with_the_process_that_watches_them(service: Service) -> None:
     children = service.serving().values()
     service.process.kill()

@@ -16,22 +16,19 @@ from core.user_models import library as models
 from tests.api.conftest import NOON, Attempt, Stack, job
 from tests.api.test_models import DESCRIPTION
 from tests.api.test_previews import announced
-from tests.extra import extra
 
 _CONFIG = Path(__file__).with_name("schemathesis.toml")
 _ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.timeout(240)  # Twenty seconds for all phases, where nobody else is at work.
-@pytest.mark.parametrize("phases", ["examples,fuzzing", *extra("examples,coverage,fuzzing,stateful")])
-def test_whatever_is_sent_the_service_answers_as_its_document_says(
-    phases: str, stack: Stack, tmp_path: Path
-) -> None:
+@pytest.mark.extra
+@pytest.mark.timeout(240)  # Twenty seconds where nobody else is at work.
+def test_whatever_is_sent_the_service_answers_as_its_document_says(stack: Stack, tmp_path: Path) -> None:
     _end(Attempt(stack, job()))  # Under the id of the document's examples.
     command = [sys.executable, "-m", "schemathesis.cli", "--config-file", str(_CONFIG)]
     with _worker(stack):
         run = subprocess.run(
-            [*command, "run", "--phases", phases, f"{stack.http.base_url}/openapi.json"],
+            [*command, "run", f"{stack.http.base_url}/openapi.json"],
             cwd=tmp_path,  # It leaves a folder where it runs.
             env={**os.environ, "COLUMNS": "100", "PYTHONPATH": str(_ROOT)},
             capture_output=True,

@@ -46,10 +46,11 @@ def specifications() -> list[str]:
         ("worker.main",),
         ("worker.reconciler",),
         ("worker.supervision.supervisor", "worker.tasks"),
-        tuple(names_below("core/jobs")),
-        tuple(names_below("core/storage")),
-        tuple(names_below("core/adapters")),
         tuple(specifications()),
+        *(
+            pytest.param(tuple(names_below(f"core/{name}")), marks=pytest.mark.extra)
+            for name in ("jobs", "storage", "adapters")
+        ),
     ],
     ids=lambda modules: modules[0],
 )

@@ -213,6 +213,7 @@ def test_a_second_stack_on_the_same_data_is_refused_and_killing_the_first_ends_e
     assert eventually(lambda: first.family() == [], 10), first.family()
 
 
+@pytest.mark.extra
 def test_a_job_survives_a_restart_of_everything(launch: Launch) -> None:
     first = launch()
     url = first.url()

@@ -225,6 +225,7 @@ def commands_with(text: str) -> str:
     return block
 
 
+@pytest.mark.extra
 def test_the_restore_of_a_data_folder_as_it_is_documented(tmp_path: Path) -> None:
     def type_in(commands: str) -> str:
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

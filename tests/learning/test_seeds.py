@@ -139,7 +139,8 @@ def test_a_metric_is_the_mean_over_the_seeds() -> None:
 @pytest.mark.parametrize(
     ("case", "environment"),
     [
-        pytest.param(PPO, lambda: ant("compiled"), id="ppo"),
+        pytest.param(PPO, probes.observed_action_reward, id="ppo"),
+        pytest.param(PPO, lambda: ant("compiled"), id="ppo-compiled", marks=pytest.mark.extra),
         pytest.param(SAC, probes.observed_action_reward, id="sac", marks=pytest.mark.extra),
         pytest.param(DQN, probes.endless, id="dqn", marks=pytest.mark.extra),
     ],

@@ -17,6 +17,7 @@ from core.algorithms.sac.learner import SAC
 from core.algorithms.sac.learner import Learner as SACLearner
 from tests import probes
 from tests.compiling import compiling_quickly
+from tests.extra import extra
 from tests.learning.dqn_runs import dqn_settings
 from tests.learning.runs import small_settings
 from tests.learning.sac_runs import sac_settings
@@ -26,8 +27,7 @@ from tests.learning.sac_runs import sac_settings
     ("algorithm", "learner", "settings"),
     [
         (PPO, Learner, small_settings()),
-        (SAC, SACLearner, sac_settings()),
-        (DQN, DQNLearner, dqn_settings()),
+        *extra((SAC, SACLearner, sac_settings()), (DQN, DQNLearner, dqn_settings())),
     ],
     ids=["ppo", "sac", "dqn"],
 )

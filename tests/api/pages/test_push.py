@@ -21,6 +21,7 @@ from core.rendering.timeline import Motion
 from gaitway import exported_policy
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.pages.conftest import MakeTab, Tab
+from tests.extra import extra
 from tests.unit.environments.test_simulation import BODIES, of_a_user, of_the_catalog
 
 BINARY = "application/octet-stream"
@@ -89,7 +90,7 @@ CASES: list[tuple[str, dict[str, Any]]] = [
 ]
 
 
-@pytest.mark.parametrize(("body", "options"), CASES)
+@pytest.mark.parametrize(("body", "options"), [CASES[0], *extra(*CASES[1:])])
 def test_the_browser_observes_and_acts_as_the_environment_does(
     browser: Browser, stack: Stack, body: str, options: dict[str, Any]
 ) -> None:

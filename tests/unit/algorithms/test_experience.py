@@ -105,6 +105,7 @@ def learner_of_short_episodes(**changes: object) -> Learner:
     return Learner(env, PPOSpec.model_validate({**sizes, **layers, **changes}))
 
 
+@pytest.mark.extra
 def test_episodes_begin_in_fresh_states_of_their_update() -> None:
     learner = learner_of_short_episodes(reset_pool_size=5)
     state = learner.init(jnp.uint32(0))

@@ -42,6 +42,7 @@ def test_it_is_loaded_before_it_is_told_and_runs_then(command: list[str]) -> Non
     assert (part.returncode, said) == (0, "['--port', '1'] b a\n")
 
 
+@pytest.mark.extra
 def test_it_does_not_run_where_its_launcher_says_nothing(command: list[str]) -> None:
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (1, "loaded\n")

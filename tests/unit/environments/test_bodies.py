@@ -15,6 +15,7 @@ from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo
 from core.environments.mujoco_env import MujocoEnv
 from core.physics.choose import engine_builder
+from tests.extra import extra
 
 NUM_ENVS = 8
 # The other stars are the same body.
@@ -172,7 +173,9 @@ def test_an_environment_that_breaks_does_not_look_well(case: Case) -> None:
     assert np.isnan(state.reward[0]) or is_constant
 
 
-@pytest.mark.parametrize("environment_id", having("terminate_when_unhealthy", "healthy_z_range"))
+@pytest.mark.parametrize(
+    "environment_id", ["ant", *extra(*having("terminate_when_unhealthy", "healthy_z_range"))]
+)
 def test_unhealthy_ends_the_episode_unless_told_otherwise(environment_id: str) -> None:
     heights = [0.01, 3.0]  # every torso begins at such a height, in metres
     ends = make(environment_id, healthy_z_range=heights, terminate_when_unhealthy=True)

@@ -16,7 +16,6 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.errors import EXIT_STATUS, Misconfigured
 from core.jobs.workers import WorkerInfo
 from core.settings import WorkerSettings
-from tests.extra import extra
 from tests.unit.worker.environments import environment
 from worker.fleet import Member
 
@@ -76,7 +75,8 @@ def fleet(settings: WorkerSettings, job_store: PostgresJobStore, log: Path) -> I
     fleet.process.wait(10)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, *extra(signal.SIGINT)])
+@pytest.mark.extra
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_to_the_fleet_ends_all_its_workers_and_it_waits_for_them(
     fleet: Fleet, number: signal.Signals
 ) -> None:
@@ -152,6 +152,7 @@ def ended(member: Member) -> Member:
     return member
 
 
+@pytest.mark.extra
 @pytest.mark.usefixtures("nothing_set")
 def test_a_worker_that_could_never_work_ends_the_fleet() -> None:
     with pytest.raises(Misconfigured, match="The worker on cpu cannot work"):

@@ -51,6 +51,7 @@ def dispatched(
             process.kill()
 
 
+@pytest.mark.extra
 def test_a_gpu_that_has_gone_costs_the_job_nothing_and_a_drain_ends_the_pause(
     job: Job, settings: WorkerSettings, job_store: PostgresJobStore
 ) -> None:

@@ -107,6 +107,7 @@ def test_actions_reach_from_end_to_end_of_the_joints_ranges() -> None:
         np.testing.assert_allclose(state.physics.derived["qfrc_actuator"][6:], 3.75, rtol=1e-6)
 
 
+@pytest.mark.extra
 def test_a_pattern_generator_may_move_the_joints() -> None:
     # Arm 0 leads, held up by three quarters of 30°, and the others row: the star leaves its place towards +x
     # by more than its own noise in two seconds.

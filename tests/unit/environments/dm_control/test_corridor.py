@@ -399,6 +399,7 @@ def test_an_action_of_the_ant_is_held_for_0_04_s(options: dict[str, Any], num_st
     assert resolve(PPOSpec(), row, "cpu").action_repeat == num_steps
 
 
+@pytest.mark.extra
 def test_a_job_is_judged_by_the_walker_that_it_asks_for(jobs: JobStore) -> None:
     environment: dict[str, Any] = {"id": "corridor", "options": {"walker": "rodent", "episode_length": 300}}
     policy = {"kind": "constant", "action": [0.0] * 38}

@@ -70,6 +70,7 @@ def test_one_layout_is_the_environment_as_it_was() -> None:
     assert not state.info
 
 
+@pytest.mark.extra
 def test_each_start_takes_a_layout_by_its_key_and_moves_and_sees_by_it() -> None:
     environment = built(num_layouts=3)
     state = started(environment, 8)

@@ -51,6 +51,7 @@ def assert_alike(ours: State, theirs: Any) -> None:
     np.testing.assert_allclose(ours.physics.qpos, theirs.data.qpos, atol=1e-5)
 
 
+@pytest.mark.extra
 def test_a_state_is_small_and_keeps_its_form_under_any_number_of_environments() -> None:
     pendulum = Playground("PendulumSwingup", "jax")
     keys = jax.random.split(jax.random.PRNGKey(0), NUM_ENVS)

@@ -12,6 +12,7 @@ import pytest
 from core.physics.compiled.code import cpu_call
 from core.physics.compiled.engine import CompiledEngine
 from core.physics.engine import PhysicsState
+from tests.extra import extra
 
 # Fewer than a vector has lanes, a whole vector, and one more than one and two of them.
 NUM_ENVS = (1, 3, 16, 17, 33)
@@ -64,7 +65,7 @@ def assert_same_bits(state: PhysicsState, other: PhysicsState, envs: np.ndarray)
         np.testing.assert_array_equal(np.asarray(one)[envs], np.asarray(two)[envs])
 
 
-@pytest.mark.parametrize("num_cores", [1, 2])
+@pytest.mark.parametrize("num_cores", [2, *extra(1)])
 @pytest.mark.parametrize("num_envs", NUM_ENVS)
 def test_an_environment_that_breaks_is_nan_and_changes_no_bit_of_its_neighbours(
     step: Step, num_envs: int, num_cores: int, monkeypatch: pytest.MonkeyPatch

@@ -73,6 +73,7 @@ def test_contacts_are_felt_as_in_mujoco(right: str, option: str, default: str) -
         np.testing.assert_allclose(np.broadcast_to(mine, len(datas)), expected, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.extra
 def test_the_star_feels_the_ground_of_the_last_substep() -> None:
     model = converge(star_model(DirectedOptions()), implicit_damping=False)
     ours, datas = sensing(model), [mujoco.MjData(model) for _ in range(4)]

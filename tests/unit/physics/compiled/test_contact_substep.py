@@ -112,6 +112,7 @@ def step_converged(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     mujoco.mj_step(model, data)
 
 
+@pytest.mark.extra
 def test_the_ant_moves_in_its_corridor_as_in_mujoco() -> None:
     model = converge(corridor_model(CorridorOptions()), implicit_damping=True)
     assert uncovered(model) is None

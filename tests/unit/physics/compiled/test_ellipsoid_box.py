@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+import pytest
 
 from core.physics.compiled.collisions.ellipsoid_box import ellipsoid_box
 from core.physics.compiled.collisions.shapes import Placed
@@ -19,6 +20,7 @@ XML = f"""
 """
 
 
+@pytest.mark.extra
 def test_an_ellipsoid_touches_a_box_as_in_mujoco() -> None:
     """At faces, edges and corners: to 1e-8 m, and MuJoCo's own error of the normal."""
     model, generator = mujoco.MjModel.from_xml_string(XML), np.random.default_rng(0)

@@ -2,6 +2,8 @@
 
 import re
 
+import pytest
+
 from core.physics.compiled.code.gpu_kernel import gpu_kernel, most_warps
 from core.physics.compiled.program.arithmetic import Number, sine
 from core.physics.compiled.program.flow import repeat, where_needed
@@ -29,6 +31,7 @@ def program_of(length: int) -> Program:
     return program
 
 
+@pytest.mark.extra
 def test_warps_stay_together_in_a_large_program() -> None:
     program = program_of(20_000)
     code = gpu_kernel(program, "run")
@@ -65,6 +68,7 @@ def test_threads_of_a_small_program_go_alone() -> None:
     assert ASK not in code
 
 
+@pytest.mark.extra
 def test_a_program_in_sections_goes_alone() -> None:
     program = program_of(20_000)
     code = gpu_kernel(program, "run", section_size=2_000)

@@ -10,6 +10,7 @@ from core.physics.compiled.program.flow import repeat, where_needed
 from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
 from core.physics.compiled.substep import State, control_step, read_model
+from tests.extra import extra
 from tests.unit.physics.compiled.test_substep import NUM_STATES, converged, of_all, states
 
 WIDTH = 8
@@ -55,7 +56,7 @@ def test_a_branch_changes_only_lanes_that_need_it() -> None:
     np.testing.assert_array_equal(run(program, {"x": begun})["x"][0], np.array(expected, np.float32))
 
 
-@pytest.mark.parametrize("name", ["ant", "half_cheetah"])
+@pytest.mark.parametrize("name", ["half_cheetah", *extra("ant")])
 def test_two_substeps_in_machine_code_are_two_substeps(name: str) -> None:
     model = converged(name, implicit_damping=True)
     model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 15, 25, 1e-7

@@ -60,6 +60,7 @@ def pixels(body: bytes, folder: Path) -> NDArray[np.int64]:
         return next(picture.decode(video=0)).to_ndarray(format="rgb24").astype(int)
 
 
+@pytest.mark.extra
 def test_each_camera_shows_the_body_and_nobody_draws_it_twice(
     tmp_path: Path, objects: MemoryObjectStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -91,6 +91,7 @@ def row_of(step: int) -> Measured:
     return Measured(float(step), StepValues(step, dict.fromkeys(NAMES, float(step))))
 
 
+@pytest.mark.extra
 def test_the_memory_that_the_file_takes_does_not_grow_with_the_rows(
     job_store: PostgresJobStore, file: IO[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:

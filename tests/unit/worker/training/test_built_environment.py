@@ -54,6 +54,7 @@ def test_fewer_gpus_than_the_worker_serves_end_the_job_with_what_there_is(
     assert failure.value.detail == ("The worker serves gpu:0,1,2, but JAX finds only NVIDIA H200, NVIDIA A2.")
 
 
+@pytest.mark.extra
 def test_a_job_that_goes_on_takes_the_engine_of_its_checkpoint_where_the_choice_is_left_to_auto() -> None:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "inverted_pendulum"})
     begun = Task(job_id="j", attempt=2, spec=spec, device="cpu", begun_on="mjx")

@@ -36,6 +36,7 @@ def heard(tmp_path: Path) -> Iterator[Heard]:
     os.close(heard._read)
 
 
+@pytest.mark.extra
 def test_a_trajectory_is_kept_at_once_and_its_picture_when_the_block_is_over(
     heard: Heard, tmp_path: Path
 ) -> None:

@@ -260,6 +260,7 @@ def test_a_model_that_takes_too_long_is_refused_and_its_process_is_gone(tmp_path
     assert answer.refusal == "MuJoCo was not done with the model within 0.2 s; make it smaller."
 
 
+@pytest.mark.extra
 def test_a_model_that_needs_too_much_memory_is_refused(tmp_path: Path) -> None:
     texture = b'<asset><texture name="t" type="2d" builtin="flat" width="30000" height="30000"/></asset>'
     limits = dataclasses.replace(Limits(), memory_bytes=2 * 2**30)
@@ -301,6 +302,7 @@ def test_a_model_is_refused_unread_where_its_process_cannot_be_confined(
     assert "GAITWAY_MODELS" in answer.refusal
 
 
+@pytest.mark.extra
 def test_whoever_accepts_that_has_models_read_in_the_layers_that_hold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
