@@ -1,14 +1,12 @@
 /** The page: its frame, and the view of the present route. */
 
-import { get } from "./lib/api.js";
-import { useAway } from "./lib/connection.js";
-import { docsOf } from "./lib/docs.js";
+import { get, useAway } from "./lib/api.js";
+import { docsOf, href, useRoute } from "./lib/route.js";
 import { html, render, useEffect, useRef, useState } from "./lib/html.js";
 import { useCurrentInSight } from "./lib/in_sight.js";
 import { useLive } from "./lib/live.js";
-import { href, useRoute } from "./lib/route.js";
 import { applyTheme, toggleTheme, useDark } from "./lib/theme.js";
-import { Failure, Loading } from "./parts/states.js";
+import { Failure, Loading } from "./parts/elements.js";
 
 // The module of each view, which is loaded when it is first shown.
 const VIEWS = {

@@ -1,6 +1,6 @@
-/** The service's HTTP interface. Every refusal becomes a `Problem`; no answer becomes `Away`. */
+/** Requests to the service, and whether it answers. */
 
-import { report } from "./connection.js";
+import { useEffect, useState } from "./html.js";
 
 /** A refusal (RFC 9457). `errors`: [{pointer, detail}], the places that it names. */
 export class Problem extends Error {
@@ -79,4 +79,24 @@ export function withQuery(path, query) {
     }
   }
   return said.size ? `${path}?${said}` : path;
+}
+
+const listeners = new Set();
+let away = false;
+
+/** @param {boolean} answered Whether the service gave any answer at all. */
+export function report(answered) {
+  if (away === !answered) return;
+  away = !answered;
+  for (const listener of listeners) listener(away);
+}
+
+/** True while the service does not answer. */
+export function useAway() {
+  const [value, setValue] = useState(away);
+  useEffect(() => {
+    listeners.add(setValue);
+    return () => listeners.delete(setValue);
+  }, []);
+  return value;
 }

@@ -1,6 +1,7 @@
-/** A job that is being written: a document that has only what was said. */
+/** A job that is being written, a document that has only what was said; and its submission, once at a time. */
 
 import { get } from "./api.js";
+import { useState } from "./html.js";
 import { algorithmOf, environmentOf, optionsOf, title } from "./job.js";
 
 /** The value at a path, or undefined. */
@@ -48,3 +49,34 @@ function further(draft, job, step) {
   const budget = draft.algorithm?.num_timesteps ?? job.progress.total;
   return budget && step >= budget ? put(draft, ["algorithm", "num_timesteps"], step + budget) : draft;
 }
+
+/**
+ * @param {() => Promise<void>} send Rejects with the service's refusal.
+ * @param {object} document What is sent.
+ * @returns problem (the last refusal or null), errors (its places whose values have not been changed since),
+ *   setProblem, isBusy, and submit, the form's listener. A form that was sent stays busy: its view is left.
+ */
+export function useSubmission(send, document) {
+  const [problem, setProblem] = useState(null);
+  const [sent, setSent] = useState(null);
+  const [isBusy, setBusy] = useState(false);
+  const submit = async (event) => {
+    event.preventDefault();
+    setBusy(true);
+    setSent(document);
+    try {
+      await send();
+    } catch (refusal) {
+      setProblem(refusal);
+      setBusy(false);
+    }
+  };
+  const isAsSent = ({ pointer }) => isSame(valueAt(sent, pointer), valueAt(document, pointer));
+  return { problem, errors: (problem?.errors || []).filter(isAsSent), setProblem, isBusy, submit };
+}
+
+/** The value at a JSON pointer. */
+const valueAt = (document, pointer) =>
+  at(document, pointer.split("/").slice(1).map((name) => name.replaceAll("~1", "/").replaceAll("~0", "~")));
+
+const isSame = (one, other) => JSON.stringify(one) === JSON.stringify(other);

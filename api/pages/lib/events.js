@@ -1,6 +1,6 @@
 /** A job's events as they happen (server-sent events), across losses of the connection. */
 
-import { report } from "./connection.js";
+import { report } from "./api.js";
 
 const KINDS = ["status", "progress", "metrics", "artifact", "phase", "note"];
 const FINAL = new Set(["succeeded", "failed", "cancelled"]);

@@ -77,3 +77,6 @@ export function ago(time) {
 }
 
 export const moment = (time) => new Date(time).toLocaleString();
+
+/** A user's model: the name that it was sent by; or else its body's, or the id's beginning where no worker has read it. */
+export const modelName = ({ id, name, description }) => name || (description ? description.inventory.root : id.slice(0, 19));

@@ -1,6 +1,8 @@
-/** Facts about a job's document that several views show. */
+/** Facts about a job's document that several views show: names, files, settings, why it waits. */
 
+import { get } from "./api.js";
 import { isFinal } from "./events.js";
+import { moment } from "./format.js";
 
 export const RETURNS = ["eval/episode_reward", "training/episode_reward"];
 
@@ -47,4 +49,34 @@ export function newest(job, role, step) {
 export function lastReturn(job) {
   for (const name of RETURNS) if (typeof job.progress.metrics[name] === "number") return job.progress.metrics[name];
   return null;
+}
+
+/** @param {object[]} workers All of them. */
+export function whyQueued(job, workers) {
+  if (job.waiting_for) return job.waiting_for;
+  if (job.not_before && new Date(job.not_before) > Date.now()) return `The attempt before failed; it is tried again at ${moment(job.not_before)}.`;
+  if (!workers.length) return "No worker is running.";
+  return workers.every((worker) => worker.job) ? "Every worker that could run it is busy." : "Jobs before it come first.";
+}
+
+/**
+ * @returns {Promise<{path: string, value: any, origin: "sent" | "filled in"}[]>} Every setting.
+ */
+export async function settingsOf(job) {
+  const isSent = new Set(flat(sentBy(job)).map(([path]) => path));
+  return flat(await get(job.links.specification)).map(([path, value]) => ({
+    path,
+    value,
+    origin: isSent.has(path) ? "sent" : "filled in",
+  }));
+}
+
+const sentBy = (job) => ({ ...job.spec, environment: { id: environmentOf(job.spec), options: optionsOf(job.spec) } });
+
+/** A document as pairs of a path and a value; lists are values. */
+function flat(document, path = []) {
+  if (document === null || typeof document !== "object" || Array.isArray(document) || !Object.keys(document).length) {
+    return [[path.join("."), document]];
+  }
+  return Object.entries(document).flatMap(([name, value]) => flat(value, [...path, name]));
 }

@@ -1,4 +1,4 @@
-/** The address as the page's state: `#/jobs/ID/curves?log=1` is the path [jobs, ID, curves] and a query. */
+/** The address of what is seen, the tab's title, and the page of the documentation about it. */
 
 import { useEffect, useState } from "./html.js";
 
@@ -42,3 +42,22 @@ export function change(parts, quietly = false) {
     dispatchEvent(new HashChangeEvent("hashchange"));
   }
 }
+
+/** @param {(string | null | undefined)[]} parts Those that are empty are left out. */
+export const useTitle = (...parts) => {
+  const title = [...parts.filter(Boolean), "Gaitway"].join(" · ");
+  useEffect(() => (document.title = title) && undefined, [title]);
+};
+
+const DOCS = "https://github.com/gaitway/gaitway/blob/main/docs/";
+const PAGES = {
+  jobs: "training.md",
+  compare: "page.md",
+  sweeps: "sweeps.md",
+  submit: "training.md",
+  models: "environments/mjcf.md",
+  workers: "operations.md",
+};
+
+/** The page of the documentation about a view. */
+export const docsOf = (view) => `${DOCS}${PAGES[view] || "page.md"}`;

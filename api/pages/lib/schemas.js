@@ -1,4 +1,4 @@
-/** JSON Schemas of jobs, from the service's OpenAPI document. */
+/** JSON Schemas of jobs, from the service's OpenAPI document, and the fields that they describe. */
 
 import { get } from "./api.js";
 
@@ -34,4 +34,80 @@ export function withoutNull(schema, all) {
   if (forms.length > 1) return { schema: { ...whole, anyOf: forms }, isNullable };
   const { anyOf, ...own } = whole;
   return { schema: { ...resolve(forms[0], all), ...own }, isNullable };
+}
+
+// `kind` says what the other fields are; name and labels change no result.
+const FIXED = new Set(["kind", "name", "labels", "environment"]);
+const OPTIONS = "environment.options.";
+
+/** The devices that a job may run on. */
+export function devicesOf(job) {
+  const { accelerator = "any", gpus = 1 } = job.resources || {};
+  return gpus > 1 ? ["gpu"] : accelerator === "any" ? ["cpu", "gpu"] : [accelerator];
+}
+
+/** What a job's hyperparameters are where it says nothing, on the first of its devices. */
+const plannedOf = (job, environment) => environment?.defaults?.[job.algorithm?.kind || "ppo"]?.[devicesOf(job)[0]];
+
+/**
+ * @param {object} environment As `GET /environments/{id}` shows it; without it, its options are missing.
+ * @returns {{path: string, schema: object, isNullable: boolean, now: any}[]} now: the value that the job has.
+ */
+export function fieldsOf(job, all, environment) {
+  const schema = all[job.kind === "rollout" ? "RolloutSpec" : "TrainSpec"];
+  const planned = { algorithm: { kind: "ppo", ...plannedOf(job, environment) } };
+  const own = leaves(schema, all, job, planned, "").filter(({ path }) => !FIXED.has(path.split(".")[0]));
+  const options = environment?.options;
+  if (!options?.properties) return own;
+  const here = { ...all, ...options.$defs };
+  return [...own, ...properties(options, here, job.environment?.options, undefined, OPTIONS)];
+}
+
+/** The fields of an object, and of the objects in it. */
+function leaves(schema, all, said, planned, prefix) {
+  return properties(schema, all, said, planned, prefix).flatMap((field) => {
+    const name = field.path.slice(prefix.length);
+    const form = field.now === null ? null : formOf(field.schema, all, field.now);
+    if (!form) return name === "kind" ? [] : [field];
+    return leaves(form, all, said?.[name], field.planned, `${field.path}.`);
+  });
+}
+
+/** The fields of an object alone. */
+function properties(schema, all, said, planned, prefix) {
+  return Object.entries(schema.properties || {}).map(([name, given]) => {
+    const { schema: inner, isNullable } = withoutNull(given, all);
+    const expected = planned?.[name] ?? given.default ?? inner.default;
+    const now = said?.[name] !== undefined ? said[name] : expected;
+    return { path: `${prefix}${name}`, schema: inner, isNullable, now, planned: expected };
+  });
+}
+
+/** The schema of an object that has fields of its own; of several forms, the one that its value says. */
+function formOf(schema, all, now) {
+  if (schema.properties) return schema;
+  if (!schema.oneOf || !schema.discriminator) return null;
+  const { mapping, propertyName } = schema.discriminator;
+  return resolve({ $ref: mapping[now?.[propertyName]] || Object.values(mapping)[0] }, all);
+}
+
+const formsOf = (schema) => schema.anyOf || [schema];
+
+/** Whether its values are numbers, so that a range may say them. */
+export const isNumeric = ({ schema }) => formsOf(schema).every(({ type, enum: few }) => !few && ["integer", "number"].includes(type));
+
+/** Whether it takes numbers that are not whole. */
+export const takesFractions = ({ schema }) => formsOf(schema).some(({ type }) => type === "number");
+
+/** All values that it can have, if they are few. */
+export function choicesOf({ schema, isNullable }) {
+  const found = schema.enum || (schema.type === "boolean" ? [true, false] : null);
+  return found && isNullable ? [...found, null] : found;
+}
+
+/** What it takes, in a word or two. */
+export function kindOf(field) {
+  if (choicesOf(field)) return field.schema.type === "boolean" ? "yes or no" : "one of a few";
+  if (isNumeric(field)) return takesFractions(field) ? "number" : "whole number";
+  return { string: "text", array: "list", object: "object" }[field.schema.type] || "value";
 }

@@ -1,4 +1,6 @@
-/** Metrics in sections, the important ones first. */
+/** Metrics in sections, the important ones first; which of them a reader pinned or opened is kept by the browser. */
+
+import { useState } from "./html.js";
 
 // As people look at a training: does it earn more, is it fast, does it stay up, how long does it take?
 const FIRST = [
@@ -43,4 +45,25 @@ export function sectionsOf(names, pinned) {
     if (!pinned.includes(name)) found.get(SECTIONS.find(([, has]) => has(name))[0]).push(name);
   }
   return [...found].filter(([, inside]) => inside.length);
+}
+
+/** A list of words under a name: the list, and a function that adds a word or takes it away. */
+export function useStoredList(name, initial = []) {
+  const [list, setList] = useState(() => read(name) ?? initial);
+  const toggle = (word) => {
+    const now = read(name) ?? list; // Another tab may have changed it.
+    const next = now.includes(word) ? now.filter((one) => one !== word) : [...now, word];
+    localStorage.setItem(name, JSON.stringify(next));
+    setList(next);
+  };
+  return [list, toggle];
+}
+
+function read(name) {
+  try {
+    const found = JSON.parse(localStorage.getItem(name));
+    return Array.isArray(found) ? found : null;
+  } catch {
+    return null;
+  }
 }

@@ -1,6 +1,6 @@
 /** How much a sweep that is being written makes: its trials and their environment steps, as far as they are known. */
 
-import { devicesOf, takesFractions } from "./job_fields.js";
+import { devicesOf, takesFractions } from "./schemas.js";
 
 export const MOST_TRIALS = 1000;
 export const DEFAULT_POINTS = 5; // Values of a grid along a range without `points` and `step`.

@@ -3,7 +3,7 @@
 import { at } from "../lib/draft.js";
 import { html, useId, useState } from "../lib/html.js";
 import { resolve, withoutNull } from "../lib/schemas.js";
-import { Prose } from "./prose.js";
+import { Prose } from "./elements.js";
 
 const NULL = "null";
 

@@ -2,11 +2,10 @@
 
 import { get } from "../lib/api.js";
 import { html, useMemo } from "../lib/html.js";
-import { isOver, title } from "../lib/job.js";
+import { isOver, settingsOf, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
-import { settingsOf } from "../lib/resolved.js";
 import { change } from "../lib/route.js";
-import { Empty, Failure, Loading } from "../parts/states.js";
+import { Empty, Failure, Loading } from "../parts/elements.js";
 import { Curves } from "./compare/curves.js";
 import { Differences } from "./compare/differences.js";
 import { FilmsInStep } from "./compare/films.js";

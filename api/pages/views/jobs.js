@@ -1,18 +1,40 @@
 /** All jobs, newest first: filters, search and labels in the address; some of them picked for comparison. */
 
-import { get } from "../lib/api.js";
-import { ago, value } from "../lib/format.js";
+import { get, send } from "../lib/api.js";
+import { ago, bytes, value } from "../lib/format.js";
 import { html, useEffect, useRef, useState } from "../lib/html.js";
 import { algorithmOf, environmentOf, isOver, labelsOf, lastReturn, RETURNS, seedsOf, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
-import { change, href } from "../lib/route.js";
-import { Import } from "../parts/import.js";
-import { Pages } from "../parts/pages.js";
-import { Prose } from "../parts/prose.js";
-import { Sparkline } from "../parts/sparkline.js";
-import { Empty, Failure, Loading } from "../parts/states.js";
-import { Labels, Progress, Status } from "../parts/status.js";
-import { Thumbnail } from "../parts/thumbnail.js";
+import { change, go, href } from "../lib/route.js";
+import { Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
+import { Labels, Progress, Sparkline, Status, Thumbnail } from "../parts/job_row.js";
+
+export function Import() {
+  const [state, setState] = useState({});
+  // It takes minutes, and whoever has gone on to another view stays there.
+  const isHere = useRef(true);
+  useEffect(() => () => (isHere.current = false), []);
+  const bring = async ({ target: input }) => {
+    const [file] = input.files;
+    if (!file) return;
+    setState({ text: `Sending ${file.name} (${bytes(file.size)})…` });
+    try {
+      const job = await (await send("/jobs/import", { method: "POST", body: file, type: "application/zip" })).json();
+      if (isHere.current) go(["jobs", job.id]);
+    } catch (error) {
+      setState({ error });
+    }
+    input.value = "";
+  };
+  return html`<details class="import">
+    <summary>Import an export</summary>
+    <label class="field">The zip that “Export” of a job gives, here or on another service:
+      <input type="file" accept=".zip" onChange=${bring} />
+    </label>
+    <p role="status">${state.text || ""}</p>
+    ${state.error && html`<${Failure} error=${state.error} />`}
+  </details>`;
+}
 
 const STATUSES = ["queued", "starting", "running", "cancelling", "succeeded", "failed", "cancelled"];
 const FILTERS = ["search", "status", "kind", "environment", "label"];

@@ -1,15 +1,11 @@
 /** Models of users: upload one by dropping it, see what a worker found in it. */
 
 import { get, remove, send, withQuery } from "../lib/api.js";
-import { ago, bytes, compact, duration, value } from "../lib/format.js";
+import { ago, bytes, compact, duration, modelName, value } from "../lib/format.js";
 import { html, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
-import { nameOf } from "../lib/models.js";
 import { href } from "../lib/route.js";
-import { Confirm } from "../parts/confirm.js";
-import { Pages } from "../parts/pages.js";
-import { Prose } from "../parts/prose.js";
-import { Empty, Failure, Loading } from "../parts/states.js";
+import { Confirm, Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
 
 const LIMIT = 50;
 const LONGEST_NAME = 100; // Characters, as the service allows.
@@ -79,7 +75,7 @@ function Model({ model, again }) {
   const { description: found } = model;
   const discard = () => remove(model.links.self).then(again, setError);
   return html`<section class="card stack">
-    <h2>${nameOf(model)}</h2>
+    <h2>${modelName(model)}</h2>
     <p class="facts"><span class="status ${model.status === "ready" ? "succeeded" : model.status === "refused" ? "failed" : ""}">${model.status}</span>
       ${` · ${bytes(model.size)} · ${ago(model.created_at)}`}</p>
     <p class="facts"><code>${model.id}</code></p>

@@ -1,24 +1,18 @@
 /** A sweep by a form: a job, the axes along which its settings vary, and when to stop. */
 
 import { get, post } from "../lib/api.js";
-import { put } from "../lib/draft.js";
+import { put, useSubmission } from "../lib/draft.js";
 import { html, useEffect, useRef, useState } from "../lib/html.js";
-import { fieldsOf } from "../lib/job_fields.js";
+import { fieldsOf, schemas } from "../lib/schemas.js";
 import { useLive } from "../lib/live.js";
 import { go } from "../lib/route.js";
-import { schemas } from "../lib/schemas.js";
-import { useSubmission } from "../lib/submission.js";
 import { documentOf, draftFrom, examples } from "../lib/sweep_draft.js";
 import { Field } from "../parts/field.js";
-import { Failure, Loading } from "../parts/states.js";
+import { Failure, Loading } from "../parts/elements.js";
 import { Axes } from "./new_sweep/axes.js";
 import { JobPart } from "./new_sweep/job.js";
-import { MethodPart } from "./new_sweep/method.js";
-import { Objectives } from "./new_sweep/objectives.js";
-import { Size } from "./new_sweep/size.js";
-import { AsCode } from "./submit/code.js";
-import { Errors } from "./submit/errors.js";
-import { useEnvironment } from "./submit/job.js";
+import { MethodPart, Objectives, Size } from "./new_sweep/method.js";
+import { AsCode, Errors, useEnvironment } from "./submit/job.js";
 
 export default function NewSweep({ query }) {
   const { data, error, again } = useLive(() => load(query), [query.toString()]);

@@ -1,17 +1,14 @@
 /** A job by a form that is made from the service's own JSON Schemas. */
 
 import { get, post } from "../lib/api.js";
-import { fromAddress } from "../lib/draft.js";
+import { fromAddress, useSubmission } from "../lib/draft.js";
 import { html, useEffect, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { go, href } from "../lib/route.js";
 import { schemas } from "../lib/schemas.js";
-import { useSubmission } from "../lib/submission.js";
-import { Failure, Loading } from "../parts/states.js";
-import { Body } from "./submit/body.js";
-import { AsCode } from "./submit/code.js";
-import { Errors } from "./submit/errors.js";
-import { JobFields, useEnvironment } from "./submit/job.js";
+import { Failure, Loading } from "../parts/elements.js";
+import { Body } from "./submit/environment.js";
+import { AsCode, Errors, JobFields, useEnvironment } from "./submit/job.js";
 
 export default function Submit({ query }) {
   const { data, error, again } = useLive(() => load(query), [query.toString()]);

@@ -6,9 +6,8 @@ import { html } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { href } from "../lib/route.js";
 import { isOver, objectivesOf, title } from "../lib/sweep.js";
-import { Pages } from "../parts/pages.js";
-import { Empty, Failure, Loading } from "../parts/states.js";
-import { Status } from "../parts/status.js";
+import { Empty, Failure, Loading, Pages } from "../parts/elements.js";
+import { Status } from "../parts/job_row.js";
 
 const LIMIT = 50;
 

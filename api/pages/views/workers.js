@@ -3,12 +3,9 @@
 import { everyItem, get } from "../lib/api.js";
 import { ago, bytes, moment } from "../lib/format.js";
 import { html } from "../lib/html.js";
-import { environmentOf, title } from "../lib/job.js";
+import { environmentOf, title, whyQueued } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
-import { whyQueued } from "../lib/queue.js";
-import { Pages } from "../parts/pages.js";
-import { Prose } from "../parts/prose.js";
-import { Empty, Failure, Loading } from "../parts/states.js";
+import { Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
 
 const STATES = { ready: "ready", testing: "tests its device", device_failed: "device set aside" };
 

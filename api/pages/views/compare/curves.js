@@ -1,15 +1,14 @@
 /** One metric of several jobs over each other, to export as a table or a picture. */
 
 import { across, curveOf, smooth } from "../../lib/curves.js";
-import { save, toCsv } from "../../lib/export.js";
+import { pictureOf, save, toCsv } from "../../parts/downloads.js";
 import { html, useRef, useState } from "../../lib/html.js";
 import { isOver, RETURNS } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
 import { Chart } from "../../parts/chart.js";
 import { bandLines, bySetting } from "../../lib/seeds.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
-import { pictureOf } from "../../parts/picture.js";
-import { Failure } from "../../parts/states.js";
+import { Failure } from "../../parts/elements.js";
 import { change } from "../../lib/route.js";
 
 const POINTS = 400;

@@ -3,7 +3,7 @@
 import { html } from "../../lib/html.js";
 import { lastReturn } from "../../lib/job.js";
 import { value as number } from "../../lib/format.js";
-import { Failure, Loading } from "../../parts/states.js";
+import { Failure, Loading } from "../../parts/elements.js";
 import { shown } from "../job/specification.js";
 
 /**

@@ -3,7 +3,7 @@
 import { send } from "../../lib/api.js";
 import { duration } from "../../lib/format.js";
 import { html, useEffect, useState } from "../../lib/html.js";
-import { Prose } from "../../parts/prose.js";
+import { Prose } from "../../parts/elements.js";
 
 const NAMES = { import: "import", trace: "trace", compile: "compile", first_update: "first update" };
 

@@ -2,13 +2,12 @@
 
 import { across, smooth, useCurves } from "../../lib/curves.js";
 import { html } from "../../lib/html.js";
-import { HINTS, OPEN, sectionsOf } from "../../lib/sections.js";
+import { HINTS, OPEN, sectionsOf, useStoredList } from "../../lib/sections.js";
 import { isOfASeed, seedLines } from "../../lib/seeds.js";
-import { useStoredList } from "../../lib/stored.js";
 import { change } from "../../lib/route.js";
 import { Chart } from "../../parts/chart.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
-import { Empty, Failure, Loading } from "../../parts/states.js";
+import { Empty, Failure, Loading } from "../../parts/elements.js";
 
 export function CurvesTab({ job, query, onMetrics }) {
   const tools = toolsOf(query);

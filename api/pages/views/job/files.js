@@ -3,7 +3,7 @@
 import { bytes, count } from "../../lib/format.js";
 import { html } from "../../lib/html.js";
 import { isOver } from "../../lib/job.js";
-import { Empty } from "../../parts/states.js";
+import { Empty } from "../../parts/elements.js";
 
 export function FilesTab({ job }) {
   if (!job.artifacts.length) {

@@ -9,8 +9,7 @@ import { metricOfSeed, seedLines } from "../../lib/seeds.js";
 import { Chart } from "../../parts/chart.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
 import { Films } from "../../parts/films.js";
-import { Prose } from "../../parts/prose.js";
-import { Failure } from "../../parts/states.js";
+import { Failure, Prose } from "../../parts/elements.js";
 import { Costs } from "./costs.js";
 import { NewestReplay, replaysOf } from "./replay.js";
 

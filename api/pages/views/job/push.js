@@ -5,8 +5,7 @@ import { html, useRef } from "../../lib/html.js";
 import { isOver } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
 import { Pusher } from "../../parts/replay/pusher.js";
-import { Prose } from "../../parts/prose.js";
-import { Empty, Loading } from "../../parts/states.js";
+import { Empty, Loading, Prose } from "../../parts/elements.js";
 import { canPush, policyOf, replaysOf } from "./replay.js";
 
 export const PushTab = ({ job }) => html`<${Push} key=${job.id} job=${job} />`;

@@ -7,7 +7,7 @@ import { isOver, ofSeed } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
 import { change } from "../../lib/route.js";
 import { Player } from "../../parts/replay/player.js";
-import { Empty, Failure, Loading } from "../../parts/states.js";
+import { Empty, Failure, Loading } from "../../parts/elements.js";
 
 const MOST_AT_ONCE = 8;
 

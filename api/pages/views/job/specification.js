@@ -2,9 +2,8 @@
 
 import { html, useState } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
-import { settingsOf } from "../../lib/resolved.js";
-import { Copy } from "../../parts/copy.js";
-import { Failure, Loading } from "../../parts/states.js";
+import { settingsOf } from "../../lib/job.js";
+import { Copy, Failure, Loading } from "../../parts/elements.js";
 
 export const shown = (value) => (typeof value === "string" ? value : JSON.stringify(value));
 

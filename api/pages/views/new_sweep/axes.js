@@ -1,9 +1,9 @@
 /** The axes of a sweep: which settings vary. */
 
 import { html, useRef, useState } from "../../lib/html.js";
-import { choicesOf, isNumeric, kindOf } from "../../lib/job_fields.js";
+import { choicesOf, isNumeric, kindOf } from "../../lib/schemas.js";
 import { told } from "../../lib/sweep.js";
-import { Prose } from "../../parts/prose.js";
+import { Prose } from "../../parts/elements.js";
 import { Axis } from "./axis.js";
 
 const LENGTH = "algorithm.num_timesteps";

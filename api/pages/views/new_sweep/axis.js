@@ -2,11 +2,11 @@
 
 import { put } from "../../lib/draft.js";
 import { html, useEffect, useId, useRef, useState } from "../../lib/html.js";
-import { choicesOf, isNumeric, kindOf } from "../../lib/job_fields.js";
+import { choicesOf, isNumeric, kindOf } from "../../lib/schemas.js";
 import { told } from "../../lib/sweep.js";
 import { DEFAULT_POINTS } from "../../lib/sweep_size.js";
 import { Field } from "../../parts/field.js";
-import { Prose } from "../../parts/prose.js";
+import { Prose } from "../../parts/elements.js";
 
 /** field: what the axis varies, as `fieldsOf` describes it; undefined where the job has no such field. */
 export function Axis({ path, axis, method, field, isKnown, errors, isNew, set, remove }) {

@@ -5,8 +5,7 @@ import { ago } from "../../lib/format.js";
 import { html, useState } from "../../lib/html.js";
 import { algorithmOf, environmentOf, title } from "../../lib/job.js";
 import { asWritten, draftOf, readDraft } from "../../lib/sweep_draft.js";
-import { Prose } from "../../parts/prose.js";
-import { Failure } from "../../parts/states.js";
+import { Failure, Prose } from "../../parts/elements.js";
 import { JobFields } from "../submit/job.js";
 
 const SOURCES = { example: "An example", job: "Another job", text: "Pasted JSON" };

@@ -1,12 +1,12 @@
-/** The fields of a job: its kind, its environment, its algorithm or policy, and everything else in the schema's order. */
+/** The form's part about the job: its fields, its errors, and the same as code. */
 
 import { get } from "../../lib/api.js";
 import { at, put } from "../../lib/draft.js";
 import { html, useEffect, useState } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
+import { Copy, Prose } from "../../parts/elements.js";
 import { Field } from "../../parts/field.js";
-import { AlgorithmPart } from "./algorithm.js";
-import { EnvironmentPart } from "./environment.js";
+import { AlgorithmPart, EnvironmentPart } from "./environment.js";
 
 const FIRST = ["name", "labels", "seed"];
 const PLACED = new Set([...FIRST, "kind", "environment", "algorithm", "policy"]);
@@ -53,3 +53,59 @@ export function useEnvironment(chosen) {
   }, [options]);
   return useLive((signal) => get(`/environments/${id}`, settled === "{}" ? {} : { options: settled }, { signal }), [id, settled]);
 }
+
+const FORMS = { JSON: (document) => JSON.stringify(document, null, 2), curl: asCurl, Python: asPython };
+// Where it is sent; and the client's calls.
+const KINDS = {
+  job: { path: "/jobs", submit: "submit", wait: "wait" },
+  sweep: { path: "/sweeps", submit: "sweep", wait: "wait_for_sweep" },
+};
+
+/** what: `job` or `sweep`. */
+export function AsCode({ document, what = "job" }) {
+  const [form, setForm] = useState("JSON");
+  return html`<section class="card" aria-label="As code">
+    <div class="tools" role="group" aria-label="Form">
+      ${Object.keys(FORMS).map((name) => html`<button type="button" aria-pressed=${name === form} onClick=${() => setForm(name)}>${name}</button>`)}
+    </div>
+    <${Copy} text=${FORMS[form](document, what)} name="The submission as ${form}" />
+  </section>`;
+}
+
+/** A shell's single quotes end where the text has one. */
+function asCurl(document, what) {
+  const body = JSON.stringify(document, null, 2).replaceAll("'", `'\\''`);
+  return `curl -X POST ${location.origin}${KINDS[what].path} \\\n  -H 'Content-Type: application/json' \\\n  -d '${body}'`;
+}
+
+function asPython(document, what) {
+  const { submit, wait } = KINDS[what];
+  return [
+    "from gaitway import Client",
+    "",
+    `with Client("${location.origin}") as client:`,
+    `    ${what} = client.${submit}(${literal(document, "    ")})`,
+    `    print(client.${wait}(${what}.id).status)`,
+  ].join("\n");
+}
+
+/** A JSON value as a Python literal. */
+export function literal(value, indent = "") {
+  if (value === null) return "None";
+  if (value === true) return "True";
+  if (value === false) return "False";
+  if (typeof value !== "object") return JSON.stringify(value);
+  if (Array.isArray(value)) return `[${value.map((one) => literal(one, indent)).join(", ")}]`;
+  const inner = `${indent}    `;
+  const lines = Object.entries(value).map(([name, one]) => `${inner}${JSON.stringify(name)}: ${literal(one, inner)},`);
+  return lines.length ? `{\n${lines.join("\n")}\n${indent}}` : "{}";
+}
+
+export const Errors = ({ problem, errors, box }) =>
+  html`<div class="failure" role="alert" tabindex="-1" ref=${box}>
+    <h2>It was not submitted</h2>
+    ${problem.errors?.length
+      ? html`<ul>${errors.map(({ pointer, detail }) => html`<li key=${pointer}><code>${pointer}</code> <${Prose} text=${detail} /></li>`)}</ul>
+          ${!errors.length && html`<p>All that was refused has been changed since.</p>`}`
+      : html`<p><${Prose} text=${problem.message} /></p>`}
+  </div>`;

@@ -1,13 +1,12 @@
 /** Continue an ended sweep under another budget. */
 
 import { post } from "../../lib/api.js";
-import { put } from "../../lib/draft.js";
+import { put, useSubmission } from "../../lib/draft.js";
 import { html, useState } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
 import { schemas } from "../../lib/schemas.js";
-import { useSubmission } from "../../lib/submission.js";
 import { Field } from "../../parts/field.js";
-import { Failure, Loading } from "../../parts/states.js";
+import { Failure, Loading } from "../../parts/elements.js";
 
 /** Nothing while it goes on. */
 export function Resume({ sweep, again }) {

@@ -7,9 +7,7 @@ import { useInSight } from "../../lib/in_sight.js";
 import { newest } from "../../lib/job.js";
 import { href } from "../../lib/route.js";
 import { axesOf, byObjective, hasJob, hasVideos, objectivesOf, told } from "../../lib/sweep.js";
-import { Sparkline } from "../../parts/sparkline.js";
-import { Status } from "../../parts/status.js";
-import { Thumbnail } from "../../parts/thumbnail.js";
+import { Sparkline, Status, Thumbnail } from "../../parts/job_row.js";
 
 export function Trials({ sweep, objective, picked, pick }) {
   const [axes, objectives] = [axesOf(sweep), objectivesOf(sweep)];
