@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from math import isnan
 
-from core.jobs.curves import Curves
+from core.jobs.metrics import Curves
 from gaitway.schema import MetricsRow
 
 # In one answer, which is written at once: 5,900 rows of ten metrics.

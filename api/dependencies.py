@@ -1,6 +1,5 @@
 """Dependencies of the routes: the service's parts, and checked parameters."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -8,12 +7,11 @@ from anyio import CapacityLimiter
 from fastapi import Depends, Path, Request
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from api.curve_cache import CurveCache
 from api.shared_reads import JobWatcher, RecentAnswers, SharedReads
 from core.jobs import feeds
 from core.jobs.job import JOB_ID, check_job_id
 from core.jobs.queue import JobQueue
-from core.jobs.store import ENTRY_ID, Channel, Entry
+from core.jobs.store import ENTRY_ID
 from core.jobs.submission import Acknowledgements
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
@@ -30,7 +28,6 @@ class Service:
     watching: limits the threads that read for streams, which other requests do not share.
     watcher: tells streams when their job has changed.
     feed_reads: shares what streams read.
-    curves: metrics for pictures.
     lists: of jobs, as they were sent in the last moments.
     acknowledgements: of dispatches that the queue has received.
     broken_files: keys of files that broke off as they were sent; they are read whole before the next answer.
@@ -51,36 +48,12 @@ class Service:
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_WATCHING_THREADS))
     watcher: JobWatcher = field(init=False)
     feed_reads: SharedReads[feeds.FeedPage | None] = field(default_factory=SharedReads[feeds.FeedPage | None])
-    curves: CurveCache = field(init=False)
     lists: RecentAnswers = field(default_factory=RecentAnswers)
     acknowledgements: Acknowledgements = field(init=False)
 
     def __post_init__(self) -> None:
         self.watcher = JobWatcher(self.store)
-        self.curves = CurveCache(self.store, self.objects)
         self.acknowledgements = Acknowledgements(self.store.dispatched)
-
-    def read_feed(  # As in `core.jobs.feeds.read`.
-        self,
-        job_id: str,
-        channel: Channel,
-        *,
-        after: int = 0,
-        kind: str | None = None,
-        limit: int = 1000,
-        max_values: int | None = None,
-    ) -> Sequence[Entry]:
-        """Read a feed from these stores, as `core.jobs.feeds.read` does."""
-        return feeds.read(
-            job_id,
-            channel,
-            store=self.store,
-            objects=self.objects,
-            after=after,
-            kind=kind,
-            limit=limit,
-            max_values=max_values,
-        )
 
 
 async def _service(request: Request) -> Service:

@@ -1,70 +1,46 @@
-"""A job's metrics as a table: without the rows that a later attempt measured again, and as CSV."""
+"""A job's metrics as rows and as CSV."""
 
 import csv
 import io
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from datetime import UTC, datetime
 
-from core.jobs.store import Entry
+import msgspec
+
+from core.jobs.metrics import Block, Newest
 from gaitway.schema import MetricsRow
 
+_encoder = msgspec.json.Encoder()
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-# A row's step, and the names that were measured.
-Identity = tuple[int, frozenset[str]]
 
 
-@dataclass
-class Overview:
-    """Facts on all rows, which the first line of a table needs.
-
-    names: of all columns besides step and time. last: the last entry's number. Of the rows it holds only
-    those that were measured again, each with its newest entry's number.
-    """
-
-    names: set[str] = field(default_factory=set[str])
-    last: int = 0
-    _highest_steps: dict[frozenset[str], int] = field(default_factory=dict[frozenset[str], int])
-    _newest: dict[Identity, int] = field(default_factory=dict[Identity, int])
-
-    @classmethod
-    def of(cls, entries: Iterable[Entry]) -> "Overview":
-        overview = cls()
-        for entry in entries:
-            overview._add(entry)
-        return overview
-
-    def _add(self, entry: Entry) -> None:
-        step, names = identity = _identity(entry)
-        highest = self._highest_steps.get(names)
-        self.last = int(entry.id)
-        if highest is not None and step <= highest:  # A later attempt began again at a checkpoint.
-            self._newest[identity] = self.last
-        else:
-            self._highest_steps[names] = step
-        self.names |= names
-
-    def newest(self, entries: Iterable[Entry]) -> list[MetricsRow]:
-        """The rows of these entries, without those that were measured again or came later."""
-        return [MetricsRow(**entry.data, time=entry.time) for entry in entries if self._is_newest(entry)]
-
-    def _is_newest(self, entry: Entry) -> bool:
-        number = int(entry.id)
-        return self._newest.get(_identity(entry), number) <= number <= self.last
+def metrics_rows(block: Block) -> list[MetricsRow]:
+    return [
+        MetricsRow(step=step, time=_moment(time), values=dict(values))
+        for _, step, time, values in block.rows()
+    ]
 
 
-def csv_lines(pages: Iterable[Sequence[Entry]], overview: Overview) -> Iterator[str]:
-    """CSV (RFC 4180), page by page: step, time, then every name in alphabetical order; empty for no value."""
-    names = sorted(overview.names)
-    yield _csv([["step", "time", *map(_harmless, names)]])
-    for page in pages:
-        yield _csv(
-            [row.step, row.time.isoformat(), *(row.values.get(name) for name in names)]
-            for row in overview.newest(page)
+def json_lines(blocks: Iterable[Block]) -> Iterator[bytes]:
+    """The rows as JSON by the line, a block at a time."""
+    for block in blocks:
+        yield _encoder.encode_lines(
+            {"step": step, "time": _moment(time), "values": values} for _, step, time, values in block.rows()
         )
 
 
-def _identity(entry: Entry) -> Identity:
-    return entry.data["step"], frozenset(entry.data["values"])
+def csv_lines(blocks: Iterable[Block], newest: Newest) -> Iterator[str]:
+    """The rows that count as CSV (RFC 4180), a block at a time: step, time, then every name in alphabetical
+    order; empty for no value."""
+    names = sorted(newest.names)
+    yield _csv([["step", "time", *map(_harmless, names)]])
+    for block in blocks:
+        lines = newest.of(block).lines(names)
+        yield _csv([step, _moment(time).isoformat(), *values] for _, step, time, *values in lines)
+
+
+def _moment(time: float) -> datetime:
+    return datetime.fromtimestamp(time, UTC)
 
 
 def _harmless(text: str) -> str:

@@ -92,9 +92,9 @@ class Follower:
     def _took(self, page: feeds.FeedPage | None) -> Sequence[Entry]:
         """The entries of the page, which is the last one read. None: the job is deleted."""
         self.status, self._is_end = (None, True) if page is None else (page.status, page.is_end)
-        if page is None or not page.entries:
+        if page is None:
             return ()
-        self._after = int(page.entries[-1].id)
+        self._after = page.last
         return page.entries
 
     def _next_page(self) -> feeds.FeedPage | None:
@@ -108,7 +108,8 @@ class Follower:
 def look(service: Service, job_id: str, channel: Channel, after: int = 0) -> tuple[Job | UnreadableJob, bool]:
     """The job, and whether its feed has entries after `after`. Errors arise here, before a stream begins."""
     job = service.store.find(job_id)
-    return job, bool(service.read_feed(job_id, channel, after=after, limit=1))
+    page = feeds.read_page(job_id, channel, after, 1, store=service.store, objects=service.objects)
+    return job, bool(page.entries)
 
 
 async def event_stream(

@@ -4,10 +4,12 @@ The process sends one JSON document per line, over a pipe of their own. The supe
 sends two signals (`worker/stop_signals.py`).
 """
 
-from typing import Annotated, Any, Literal, cast
+from math import isfinite
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, TypeAdapter
+from pydantic import Field, TypeAdapter
 
+from core.bounds import PastStep
 from core.documents import Stored
 from core.jobs.job import ArtifactRole, JobPhase
 from core.jobs.spec import SentSpec
@@ -16,17 +18,6 @@ from core.reasons import Reason
 
 # Bytes of a line; the supervisor does not read a longer one.
 LONGEST_MESSAGE = 2**20
-
-
-def _without_null(values: Any) -> Any:
-    if not isinstance(values, dict):
-        return values
-    said = cast("dict[str, Any]", values)
-    return {name: value for name, value in said.items() if value is not None}
-
-
-# JSON has no number that is not finite, and pydantic writes `null`: that one is left out, the rest is kept.
-Numbers = Annotated[dict[str, float], BeforeValidator(_without_null)]
 
 
 class Hello(Stored):
@@ -68,15 +59,19 @@ class Advanced(Stored):
     total: int
     steps_per_second: float | None = None
     eta_s: float | None = None
-    metrics: Numbers = {}
 
 
 class Measured(Stored):
-    """A row of metrics that belongs to `step`."""
+    """A row of metrics that belongs to `step`. values: null where one is not finite, for JSON has none."""
 
     type: Literal["metrics"] = "metrics"
-    step: int
-    values: Numbers
+    step: PastStep
+    values: dict[str, float | None]
+
+    @property
+    def finite(self) -> dict[str, float]:
+        """The values that are finite."""
+        return {name: value for name, value in self.values.items() if value is not None and isfinite(value)}
 
 
 class FileReady(Stored):

@@ -1,7 +1,6 @@
 """A job's metrics, as JSON or CSV."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
@@ -11,18 +10,21 @@ from starlette.responses import StreamingResponse
 
 from api.curves import MOST_VALUES, thinned
 from api.dependencies import EntryId, JobId, Parameters, Service, ServiceDep
-from api.metrics_table import Overview, csv_lines
+from api.metrics_table import csv_lines, metrics_rows
 from api.problems import refusals
 from api.views import answer
 from core.errors import JobNotFound, Problem, RecordsUnavailable, Rejected, StorageUnavailable
 from core.jobs import feeds
+from core.jobs.metrics import Block, Newest
 from core.jobs.spec import Text
-from core.jobs.store import Entry, entry_number
+from core.jobs.store import entry_number
 from gaitway.schema import Metrics
 
 router = APIRouter(tags=["jobs"])
 
 _MAX_ROWS_AS_JSON = 10_000
+# A row's step, its time and the row itself take as much time and memory.
+_VALUES_OF_A_ROW = 7
 _EXAMPLE = "step,time,eval/episode_reward\r\n0,2026-11-20T09:00:00+00:00,1.0\r\n"
 _CSV: dict[str, Any] = {
     "content": {"text/csv": {"schema": {"type": "string"}, "example": _EXAMPLE}},
@@ -105,49 +107,55 @@ def read_metrics(
         if asked.limit is None:
             return _whole_table(job_id, after, service)
         return _part_of_table(job_id, after, asked.limit, service)
-    limit = asked.limit or _MAX_ROWS_AS_JSON
-    entries = service.read_feed(
-        job_id, "events", after=after, kind="metrics", limit=limit, max_values=MOST_VALUES
-    )
-    rows = Overview.of(entries).newest(entries)
-    return answer(Metrics(rows=rows, next=entries[-1].id if entries else asked.after or None))
+    page, _ = _page(job_id, after, asked.limit or _MAX_ROWS_AS_JSON, service)
+    rows = metrics_rows(Newest([page]).of(page))
+    return answer(Metrics(rows=rows, next=str(page.last) if page.tables else asked.after or None))
 
 
 def _thinned(job_id: str, asked: Measured, points: int, service: Service) -> Response:
-    with service.curves.curves(job_id, asked.names) as (curves, last):
-        rows = thinned(curves, points, asked.names, asked.first_step, asked.last_step)
+    curves, last = feeds.read_curves(job_id, store=service.store, objects=service.objects, names=asked.names)
+    rows = thinned(curves, points, asked.names, asked.first_step, asked.last_step)
     return answer(Metrics(rows=rows, next=str(last) if last else None))
 
 
+def _page(job_id: str, after: int, limit: int, service: Service) -> tuple[Block, bool]:
+    """At most `limit` rows with at most `MOST_VALUES` values, but one row at least; and whether there are
+    more."""
+    page, num_rows, num_values = Block(), 0, 0
+    for block, _ in feeds.read_metrics(job_id, store=service.store, objects=service.objects, after=after):
+        for row in block.rows():
+            num_values += _VALUES_OF_A_ROW + len(row.values)
+            if num_rows == limit or (num_rows and num_values > MOST_VALUES):
+                return page, True
+            page.add(row)
+            num_rows += 1
+    return page, False
+
+
 def _whole_table(job_id: str, after: int, service: Service) -> Response:
-    """Reads the feed twice: the first line names the columns of all rows, which need not fit in memory."""
+    """Reads the metrics twice: the first line names the columns of all rows, which need not fit in memory."""
 
-    def pages() -> Iterator[Sequence[Entry]]:
-        found = feeds.read_pages(job_id, "events", store=service.store, objects=service.objects, after=after)
-        for page in found:
-            yield [entry for entry in page if entry.kind == "metrics"]
+    def blocks() -> Iterator[Block]:
+        parts = feeds.read_metrics(job_id, store=service.store, objects=service.objects, after=after)
+        return (block for block, _ in parts)
 
-    overview = Overview.of(chain.from_iterable(pages()))  # An error arises here, before the answer begins.
-    return _table(job_id, pages(), overview, {})
+    newest = Newest(blocks())  # An error arises here, before the answer begins.
+    return _table(job_id, blocks(), newest, {})
 
 
 def _part_of_table(job_id: str, after: int, limit: int, service: Service) -> Response:
     """At most `limit` rows; the header Link tells where to continue if there are more."""
-    page = service.read_feed(
-        job_id, "events", after=after, kind="metrics", limit=limit, max_values=MOST_VALUES
-    )
+    page, has_more = _page(job_id, after, limit, service)
     headers = dict[str, str]()
-    if page and service.read_feed(job_id, "events", after=int(page[-1].id), kind="metrics", limit=1):
-        query = urlencode({"format": "csv", "after": page[-1].id, "limit": limit})
+    if has_more:
+        query = urlencode({"format": "csv", "after": page.last, "limit": limit})
         headers["Link"] = f'</jobs/{job_id}/metrics?{query}>; rel="next"'
-    return _table(job_id, [page], Overview.of(page), headers)
+    return _table(job_id, [page], Newest([page]), headers)
 
 
-def _table(
-    job_id: str, pages: Iterable[Sequence[Entry]], overview: Overview, headers: dict[str, str]
-) -> Response:
+def _table(job_id: str, blocks: Iterable[Block], newest: Newest, headers: dict[str, str]) -> Response:
     return StreamingResponse(
-        csv_lines(pages, overview),
+        csv_lines(blocks, newest),
         headers={
             "Content-Disposition": f'inline; filename="{job_id}-metrics.csv"',
             "X-Content-Type-Options": "nosniff",

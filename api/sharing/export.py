@@ -6,7 +6,7 @@ The zip is made while it is sent: no member is ever whole in memory, and nothing
 import io
 import json
 import platform
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from itertools import chain
@@ -14,13 +14,13 @@ from typing import Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 from api.dependencies import Service
-from api.metrics_table import Overview, csv_lines
+from api.metrics_table import csv_lines, json_lines
 from api.views import job_view
 from core.errors import ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs import feeds
 from core.jobs.job import Artifact, Job
+from core.jobs.metrics import Block, Newest
 from core.jobs.resolved import filled_in, model_of
-from core.jobs.store import Channel, Entry
 from core.storage import keys
 from core.storage.whole import check_whole
 
@@ -112,13 +112,13 @@ def export(job: Job, service: Service) -> Iterator[Member]:
     """
     contents = _Contents()
     spec = filled_in(job, service.store)
-    overview = Overview.of(chain.from_iterable(_pages(job, service, "events")))
+    newest = Newest(_metrics(job, service))
     yield _text("README.txt", _readme(job))
     yield _json("spec.json", spec)
     yield _json("job.json", job_view(job).model_dump(mode="json"))
     yield _json("versions.json", versions(job))
-    yield Member("metrics.csv", map(str.encode, csv_lines(_pages(job, service, "events"), overview)))
-    yield Member("metrics.jsonl", _json_lines(_pages(job, service, "events"), overview))
+    yield Member("metrics.csv", map(str.encode, csv_lines(_metrics(job, service), newest)))
+    yield Member("metrics.jsonl", json_lines(map(newest.of, _metrics(job, service))))
     yield Member("log.txt", _log(job, service))
     yield from _model(job, service, contents)
     if (source := job.spec.source) is not None:
@@ -150,20 +150,14 @@ def _readme(job: Job) -> str:
     return _README.format(id=job.id, what=what, model=model)
 
 
-def _json_lines(pages: Iterable[Sequence[Entry]], overview: Overview) -> Iterator[bytes]:
-    for page in pages:
-        yield b"".join(row.model_dump_json().encode() + b"\n" for row in overview.newest(page))
-
-
 def _log(job: Job, service: Service) -> Iterator[bytes]:
-    for page in _pages(job, service, "logs"):
+    for page in feeds.read_pages(job.id, "logs", store=service.store, objects=service.objects):
         yield "".join(f"{entry.data.get('text', '')}\n" for entry in page).encode("utf-8", "replace")
 
 
-def _pages(job: Job, service: Service, channel: Channel) -> Iterator[list[Entry]]:
-    """The feed; of the events only the metrics."""
-    for page in feeds.read_pages(job.id, channel, store=service.store, objects=service.objects):
-        yield [entry for entry in page if channel == "logs" or entry.kind == "metrics"]
+def _metrics(job: Job, service: Service) -> Iterator[Block]:
+    parts = feeds.read_metrics(job.id, store=service.store, objects=service.objects)
+    return (block for block, _ in parts)
 
 
 def _model(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:

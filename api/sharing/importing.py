@@ -2,9 +2,8 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
-from itertools import chain
 from math import isfinite
 from typing import Any, TypeVar
 
@@ -21,10 +20,11 @@ from core.bounds import MOST_METRICS
 from core.environments import catalog
 from core.errors import BadExport, EnvironmentNotFound, ModelNotFound, Rejected
 from core.jobs.job import Artifact, Attempt, Job, Origin, Progress, new_job_id
+from core.jobs.metrics import Block, Measurement
 from core.jobs.resolved import filled_in, resolve_environment
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.jobs.status import JobStatus
-from core.jobs.store import Entry, status_entry
+from core.jobs.store import Entry, metrics_entries, status_entry
 from core.jobs.submission import ImportedFile, Run
 from core.reasons import Reason
 from core.storage import keys
@@ -62,8 +62,7 @@ def read_run(archive: Archive, service: Service) -> Run:
     record = _parsed(archive, "job.json", Record)
     version = _parsed(archive, "versions.json", Versions).service.gaitway
     archive.document("spec.json")  # Every export has one; the record has the specification as it was sent.
-    rows = _Feed(partial(_rows, archive))
-    _check_feed(rows, "metrics.jsonl")
+    rows = Block.of(_rows(archive))
     end = record.finished_at or _last_moment(record, rows)
     now = service.store.now()
     job = _job(record, end, Origin(job=record.id, version=version, imported_at=now))
@@ -71,7 +70,8 @@ def read_run(archive: Archive, service: Service) -> Run:
     files = _files(archive, contents, record, job.id)
     job = job.model_copy(update={"artifacts": tuple(file.artifact for file in files)})
     logs = _Feed(partial(_log, archive, end))
-    _check_feed(logs, "log.txt")
+    for _ in logs:  # All of it is read before anything is stored.
+        pass
     return Run(job, files, _Feed(partial(_events, rows, job)), logs)
 
 
@@ -145,11 +145,12 @@ def _spec(record: Record) -> JobSpec:
         ) from None
 
 
-def _last_moment(record: Record, rows: _Feed) -> datetime:
+def _last_moment(record: Record, rows: Block) -> datetime:
     """The latest time that the export has of a run that had not ended."""
     found = [record.created_at, record.started_at]
     found += [time for attempt in record.attempts for time in (attempt.started_at, attempt.ended_at)]
-    return max(chain((time for time in found if time is not None), (row.time for row in rows)))
+    found += [datetime.fromtimestamp(max(table.times), UTC) for table in rows.tables.values()]
+    return max(time for time in found if time is not None)
 
 
 def _check_job(job: Job, service: Service) -> None:
@@ -197,16 +198,9 @@ def _files(archive: Archive, contents: Contents, record: Record, job_id: str) ->
     return found
 
 
-def _check_feed(feed: _Feed, name: str) -> None:
-    """Read all of it, before anything is stored."""
-    for number, _ in enumerate(feed, 1):
-        if number > MOST_LINES:
-            raise BadExport(f"{name} has more than {MOST_LINES:,} lines.")
-
-
-def _events(rows: _Feed, job: Job) -> Iterator[Entry]:
+def _events(rows: Block, job: Job) -> Iterator[Entry]:
     """The metrics, where they come from, and the end."""
-    yield from rows
+    yield from metrics_entries(rows)
     origin = job.imported_from
     assert origin is not None  # noqa: S101
     text = f"Imported: this is job {origin.job} of a service with Gaitway {origin.version}."
@@ -214,9 +208,9 @@ def _events(rows: _Feed, job: Job) -> Iterator[Entry]:
     yield status_entry(job, job.finished_at)
 
 
-def _rows(archive: Archive) -> Iterator[Entry]:
+def _rows(archive: Archive) -> Iterator[Measurement]:
     kinds, names, num_values = set[frozenset[str]](), set[str](), 0
-    for number, line in enumerate(archive.lines("metrics.jsonl"), 1):
+    for number, line in _lines(archive, "metrics.jsonl"):
         try:
             row = Row.model_validate_json(line)
         except ValidationError as error:
@@ -230,7 +224,15 @@ def _rows(archive: Archive) -> Iterator[Entry]:
             kinds.add(kind)
             names |= kind
             _check_names(len(names), len(kinds), number)
-        yield Entry(kind="metrics", time=row.time, data={"step": row.step, "values": row.values})
+        yield Measurement(number, row.step, row.time.timestamp(), row.values)
+
+
+def _lines(archive: Archive, name: str) -> Iterator[tuple[int, bytes]]:
+    """The file's lines with their numbers."""
+    for number, line in enumerate(archive.lines(name), 1):
+        if number > MOST_LINES:
+            raise BadExport(f"{name} has more than {MOST_LINES:,} lines.")
+        yield number, line
 
 
 def _check_names(num_names: int, num_kinds: int, line: int) -> None:
@@ -249,7 +251,7 @@ def _check_names(num_names: int, num_kinds: int, line: int) -> None:
 def _log(archive: Archive, time: datetime) -> Iterator[Entry]:
     """An export has no times of lines: all get that of the run's end."""
     size = 0
-    for number, line in enumerate(archive.lines("log.txt"), 1):
+    for number, line in _lines(archive, "log.txt"):
         if (size := size + len(line)) > MOST_LOG_BYTES:
             raise BadExport(
                 f"log.txt has more than {MOST_LOG_BYTES:,} bytes in its first {number:,} lines; at most "

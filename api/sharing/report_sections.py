@@ -54,8 +54,8 @@ def sections(job: Job, service: Service) -> Iterator[str]:
 
 def curves_of(job: Job, service: Service) -> Curves:
     """The curves of the job's metrics, thinned; those of single seeds and those never finite are left out."""
-    with service.curves.curves(job.id, None) as (curves, _):
-        rows = thinned(curves, _POINTS)
+    measured, _ = feeds.read_curves(job.id, store=service.store, objects=service.objects)
+    rows = thinned(measured, _POINTS)
     found: Curves = {}
     for name in sorted({name for row in rows for name in row.values if not is_of_a_seed(name)}):
         points = [(row.step, value) for row in rows if (value := row.values.get(name)) is not None]

@@ -56,7 +56,7 @@ def measure(arguments: argparse.Namespace) -> Iterator[Figure]:
         store = job_store(parts.settings())
         long = _run(store, "a long run", rows)
         store.save(long.ended(JobStatus.SUCCEEDED, Reason.COMPLETED, "All is measured.", store.now()))
-        until(lambda: not store.oldest_entries(long.id, "events", limit=1), timeout_s=3600)
+        until(lambda: not store.oldest_metrics(long.id), timeout_s=3600)
         for which in ("first time", "again"):
             yield Figure(f"400 points of a run of {rows:,} rows, {which}", _curve_ms(http, long), "ms")
         paints, loaded = _first_paints(browser, parts.url)

@@ -4,19 +4,16 @@ The record holds the newest entries. Older ones lie in chunks: immutable objects
 """
 
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from itertools import accumulate, takewhile
 
-import msgspec
 import structlog
 
-from core.errors import JobNotFound, ObjectDamaged, ObjectNotFound
-from core.jobs import columns
-from core.jobs.measured import Measured, in_chunk
+from core.errors import ObjectDamaged, ObjectNotFound
+from core.jobs.metrics import Block, Curves
 from core.jobs.status import JobStatus
-from core.jobs.store import Channel, Chunk, Entry, JobStore
+from core.jobs.store import Channel, Chunk, Entry, JobStore, metrics_entries
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.storage.whole import read_whole
@@ -26,65 +23,21 @@ log = structlog.get_logger()
 # A chunk is made from this many bytes, or after this time, or at the job's end.
 MAX_BYTES = 256 * 1024
 MAX_AGE = timedelta(minutes=10)
+# One of metrics is not made for its age: a curve is read from all of them, so that they are few and large.
+MAX_METRICS_BYTES = 2**20
 _MAX_ENTRIES = 2000
 _MAX_CHUNK_BYTES = 2**20
 PAGE = 1000
-# Reading these takes as long as reading a page of entries.
-METRICS_PAGE = 8000
-# Its step, its time and the row take as much time and memory.
-_VALUES_OF_A_ROW = 7
 
 
 @dataclass(frozen=True)
 class FeedPage:
-    """A part of a feed, oldest first. status, is_end: as of that moment, see `FeedPart`."""
+    """A part of a feed, oldest first, up to entry number `last`. status, is_end: as in `FeedPart`."""
 
     entries: Sequence[Entry]
     status: JobStatus
-    is_end: bool
-
-
-@dataclass(frozen=True)
-class MetricsPage:
-    """The metrics in a part of a feed, oldest first. last: the number of that part's last entry."""
-
-    measured: Sequence[Measured]
     last: int
     is_end: bool
-
-
-def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
-    job_id: str,
-    channel: Channel,
-    *,
-    store: JobStore,
-    objects: ObjectStore,
-    after: int = 0,
-    kind: str | None = None,
-    limit: int = PAGE,
-    max_values: int | None = None,
-) -> Sequence[Entry]:
-    """Entries later than number `after`, oldest first; of one kind where given. Empty at the feed's end.
-
-    max_values: fewer where these and one more would have more values of metrics together. A row itself counts
-    as `_VALUES_OF_A_ROW`.
-
-    Raises the errors of `read_page`.
-    """
-    # Entries of one kind may be rare: small pages would need many reads to find the last few.
-    at_once = limit if kind is None else PAGE
-    found: list[Entry] = []
-    for page in read_pages(job_id, channel, store=store, objects=objects, after=after, at_once=at_once):
-        found += [entry for entry in page if kind in (None, entry.kind)]
-        if len(found) >= limit or (max_values is not None and _num_within(found, max_values) < len(found)):
-            break
-    return found[: limit if max_values is None else min(limit, _num_within(found, max_values))]
-
-
-def _num_within(entries: Sequence[Entry], max_values: int) -> int:
-    """How many of these, at least one, have at most so many values together."""
-    sums = accumulate(_VALUES_OF_A_ROW + len(entry.data.get("values", ())) for entry in entries)
-    return max(1, sum(1 for _ in takewhile(lambda total: total <= max_values, sums)))
 
 
 def read_pages(
@@ -100,12 +53,11 @@ def read_pages(
 
     Raises the errors of `read_page`.
     """
-    while True:
+    is_end = False
+    while not is_end:
         page = read_page(job_id, channel, after, at_once, store=store, objects=objects)
         yield page.entries
-        if page.is_end:
-            return
-        after = int(page.entries[-1].id)
+        after, is_end = page.last, page.is_end
 
 
 def read_page(
@@ -117,38 +69,71 @@ def read_page(
     Raises JobNotFound, RecordsUnavailable, StorageUnavailable.
     """
     part = store.feed(job_id, channel, after=after, limit=limit)
-    found: list[Entry] = []
-    for chunk in part.chunks:
+    found = list(part.entries)
+    for number, chunk in enumerate(part.chunks, 1):
         found += [entry for entry in _entries_of(chunk, job_id, store, objects) if int(entry.id) > after]
-        if len(found) >= limit:
-            return FeedPage(found, part.status, is_end=False)
-    return FeedPage([*found, *part.entries], part.status, part.is_end)
+        if number < len(part.chunks):  # What comes before the next chunk is known.
+            page = _page(found, part.status, min(part.last, part.chunks[number].first - 1), is_end=False)
+            if len(page.entries) >= limit:
+                return page
+    return _page(found, part.status, part.last, is_end=part.is_end)
+
+
+def _page(found: Iterable[Entry], status: JobStatus, last: int, *, is_end: bool) -> FeedPage:
+    known = sorted((entry for entry in found if int(entry.id) <= last), key=lambda entry: int(entry.id))
+    return FeedPage(known, status, last, is_end)
 
 
 def read_metrics(
-    job_id: str, after: int, limit: int, *, store: JobStore, objects: ObjectStore
-) -> MetricsPage:
-    """At least `limit` metrics of the feed `events` after entry number `after`, if there are that many.
+    job_id: str,
+    *,
+    store: JobStore,
+    objects: ObjectStore,
+    after: int = 0,
+    names: Collection[str] | None = None,
+) -> Iterator[tuple[Block, int]]:
+    """The metrics among a job's events after entry number `after`, in parts, each with the number of the
+    entry that it reaches to. The last part reaches to the end of the feed.
 
-    Several times as fast as `read_page`. A part that is lost or damaged in the object store has none.
+    A part that is lost or damaged in the object store has none. names: only these metrics; None: all.
     Raises the errors of `read_page`.
     """
-    part = store.feed_metrics(job_id, after=after, limit=limit)
-    found, last = list[Measured](), after
-    for chunk in part.chunks:
-        body = _body_of(chunk, job_id, store, objects)
-        found += [] if isinstance(body, str) else in_chunk(body, after)
-        last = chunk.last
-        if len(found) >= limit:
-            return MetricsPage(found, last, is_end=False)
-    return MetricsPage([*found, *part.behind], max(last, part.last), part.is_end)
+    is_end = False
+    while not is_end:
+        part = store.feed_metrics(job_id, after=after)
+        for chunk in part.chunks:
+            body = b"" if _has_lines(chunk) else _body_of(chunk, job_id, store, objects)
+            if body and not isinstance(body, str):
+                yield Block.decode(body, chunk.first, names).after(after), chunk.last
+        behind = Block()
+        for first, body in part.blocks:
+            behind.extend(Block.decode(body, first, names).after(after))
+        yield behind, part.last
+        after, is_end = part.last, part.is_end
+
+
+def read_curves(
+    job_id: str, *, store: JobStore, objects: ObjectStore, names: Collection[str] | None = None
+) -> tuple[Curves, int]:
+    """A job's curves, and the number of its events' last entry. As `read_metrics`."""
+    curves, last = Curves(), 0
+    for block, last in read_metrics(job_id, store=store, objects=objects, names=names):  # noqa: B007
+        curves.extend(block)
+    return curves, last
 
 
 def _entries_of(chunk: Chunk, job_id: str, store: JobStore, objects: ObjectStore) -> Iterable[Entry]:
     body = _body_of(chunk, job_id, store, objects)
     if isinstance(body, str):
         return [_gap(chunk, body, store)]
+    if not _has_lines(chunk):
+        return metrics_entries(Block.decode(body, chunk.first))
     return map(Entry.model_validate_json, body.splitlines())
+
+
+def _has_lines(chunk: Chunk) -> bool:
+    """Whether its entries are lines. Metrics are a block, but for the note that replaces a lost one."""
+    return chunk.key.endswith(".jsonl")
 
 
 def _body_of(chunk: Chunk, job_id: str, store: JobStore, objects: ObjectStore) -> bytes | str:
@@ -173,6 +158,8 @@ def _gap(lost: Chunk, how: str, store: JobStore) -> Entry:
     """
     which = f"Entries {lost.first} to {lost.last}" if lost.first < lost.last else f"Entry {lost.last}"
     text = f"{which} of this feed {'were' if lost.first < lost.last else 'was'} {how}."
+    if lost.channel == "metrics":
+        text = f"The metrics from entry {lost.first} to entry {lost.last} of this feed were {how}."
     return Entry(id=str(lost.last), kind="note", time=store.now(), data={"text": text})
 
 
@@ -188,43 +175,47 @@ def compact(*, store: JobStore, objects: ObjectStore) -> int:
     An object is written before the record names it, under a key made from its content: repeating this, or
     running it in two places at once, does no harm.
     """
-    due = store.long_feeds(max_bytes=MAX_BYTES, max_age=MAX_AGE)
+    due = store.long_feeds(max_bytes=MAX_BYTES, max_age=MAX_AGE, max_metrics_bytes=MAX_METRICS_BYTES)
     for job_id, channel in due:
-        entries = store.oldest_entries(job_id, channel, limit=_MAX_ENTRIES, max_bytes=_MAX_CHUNK_BYTES)
-        if entries:  # Otherwise another process was faster, or the job was deleted.
-            chunk = _chunk(job_id, channel, entries, objects)
-            if channel == "events":
-                _store_columns(job_id, chunk, store, objects)
+        if channel == "metrics":
+            chunk = _metrics_chunk(job_id, store, objects)
+        else:
+            chunk = _chunk(job_id, channel, store, objects)
+        if chunk is not None:  # Otherwise another process was faster, or the job was deleted.
             store.replace_by_chunk(job_id, chunk)
     return len(due)
 
 
-def _chunk(job_id: str, channel: Channel, entries: Sequence[Entry], objects: ObjectStore) -> Chunk:
-    """Store these entries as an object; returns its chunk."""
+def _chunk(job_id: str, channel: Channel, store: JobStore, objects: ObjectStore) -> Chunk | None:
+    """Store the oldest entries as an object; returns its chunk."""
+    entries = store.oldest_entries(job_id, channel, limit=_MAX_ENTRIES, max_bytes=_MAX_CHUNK_BYTES)
+    if not entries:
+        return None
     body = b"".join(entry.model_dump_json().encode() + b"\n" for entry in entries)
     return _stored(job_id, channel, int(entries[0].id), int(entries[-1].id), body, objects)
 
 
-def _stored(job_id: str, channel: Channel, first: int, last: int, body: bytes, objects: ObjectStore) -> Chunk:
+def _metrics_chunk(job_id: str, store: JobStore, objects: ObjectStore) -> Chunk | None:
+    """Store the oldest metrics as an object; returns its chunk."""
+    block = Block()
+    for first, body in store.oldest_metrics(job_id, max_bytes=MAX_METRICS_BYTES):
+        block.extend(Block.decode(body, first))
+    if not block.tables:
+        return None
+    return _stored(job_id, "metrics", block.first, block.last, block.encode(), objects, is_block=True)
+
+
+def _stored(  # noqa: PLR0913 # What makes a chunk, and where it goes.
+    job_id: str,
+    channel: Channel,
+    first: int,
+    last: int,
+    body: bytes,
+    objects: ObjectStore,
+    *,
+    is_block: bool = False,
+) -> Chunk:
     digest = hashlib.sha256(body).hexdigest()
-    key = keys.chunk(job_id, channel, first, digest)
-    objects.put(key, body, media_type="application/jsonl")
+    key = keys.chunk(job_id, channel, first, digest, "msgpack" if is_block else "jsonl")
+    objects.put(key, body, media_type=f"application/{'msgpack' if is_block else 'jsonl'}")
     return Chunk(channel, first, last, key, len(body), digest)
-
-
-def _store_columns(job_id: str, newest: Chunk, store: JobStore, objects: ObjectStore) -> None:
-    """Store the columns of the group that this chunk completes, if it completes one.
-
-    Before the record names the chunk, so that both are repeated if this is interrupted. A group with a chunk
-    that is lost or damaged, or has metrics that cannot be read, gets none: the feed is moved all the same.
-    """
-    group = columns.completed(newest, store.chunks([job_id]).get(job_id, ()))
-    try:
-        bodies = [_body_of(chunk, job_id, store, objects) for chunk in group]
-        whole = [body for body in bodies if isinstance(body, bytes)]
-        if group and len(whole) == len(group):
-            columns.write(job_id, group, whole, objects)
-    except JobNotFound:  # It was deleted meanwhile.
-        return
-    except (msgspec.MsgspecError, OverflowError) as error:
-        log.error("metrics_unreadable", job=job_id, error=str(error))

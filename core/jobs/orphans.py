@@ -14,7 +14,7 @@ from itertools import groupby
 import structlog
 
 from core.errors import ModelNotFound, ObjectNotFound, StaleJob, StorageUnavailable
-from core.jobs import columns, feeds
+from core.jobs import feeds
 from core.jobs.store import JobQuery, JobStore
 from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore
@@ -94,7 +94,7 @@ def _of_jobs(
     batch: Folders, before: datetime, store: JobStore, objects: ObjectStore, seen: _Seen
 ) -> Iterator[None]:
     known = store.marks(batch)
-    named = {*store.objects_named(known), *columns_of(known, store)}
+    named = set(store.objects_named(known))
     for job_id, infos in batch.items():
         if job_id in known:
             seen.known_jobs += 1
@@ -107,12 +107,6 @@ def _of_jobs(
             seen.unknown_jobs += 1
             seen.unknown_objects += len(infos)
     yield
-
-
-def columns_of(job_ids: Collection[str], store: JobStore) -> set[str]:
-    """The keys of the columns that were made from the chunks of these jobs."""
-    chunks = store.chunks(job_ids)
-    return {columns.key(job_id, group) for job_id in chunks for group in columns.groups(chunks[job_id])}
 
 
 def _of_models(
@@ -236,7 +230,7 @@ def _differences_in_jobs(batch: Folders, store: JobStore, objects: ObjectStore) 
     missing, unknown = defaultdict[str, list[str]](list), defaultdict[str, list[str]](list)
     for key in sorted(gone):
         missing[keys.job_of(key)].append(key)
-    for key in sorted(found - named - columns_of(known, store)):
+    for key in sorted(found - named):
         unknown[keys.job_of(key)].append(key)
     for job_id in sorted(missing.keys() | unknown.keys()):
         yield Difference(job_id, missing[job_id], unknown[job_id])

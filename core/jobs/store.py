@@ -1,8 +1,8 @@
 """The interface of the record: jobs, their feeds, leases and dispatches."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Any, Literal, Protocol
 
 from pydantic import Field
@@ -10,13 +10,14 @@ from pydantic import Field
 from core.documents import Stored
 from core.errors import Problem, Rejected
 from core.jobs.job import Job, Progress, UnreadableJob, utc_now
-from core.jobs.measured import Measured
+from core.jobs.metrics import Block, Measurement
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerStore
 from core.user_models.store import ModelStore
 
-Channel = Literal["events", "logs"]
+# Metrics are a feed of their own, with numbers among those of the events, which are read with them.
+Channel = Literal["events", "logs", "metrics"]
 _LONGEST_ID = 18
 ENTRY_ID = f"[0-9]{{0,{_LONGEST_ID}}}"
 
@@ -25,7 +26,8 @@ class Entry(Stored):
     """One event of a job, or one line of its log; a feed has its entries in the order in which they happened.
 
     kind: `status`, `progress`, `metrics`, `artifact`, `phase`, `note` in `events`; `line` in `logs`.
-    The store gives the id: 1, 2, 3, … within a channel, as text.
+    The store gives the id: 1, 2, 3, … within a channel, as text. One of the kind `metrics` says `step` and
+    `values`, and comes back with values that are floats, or None where one was not finite.
     """
 
     id: str = ""
@@ -44,6 +46,18 @@ def status_entry(job: Job, time: datetime | None = None) -> Entry:
 def note_entry(text: str) -> Entry:
     """An event for people."""
     return Entry(kind="note", time=utc_now(), data={"text": text})
+
+
+def metrics_entries(block: Block) -> Iterator[Entry]:
+    """The rows as events."""
+    for number, step, time, values in block.rows():
+        data = {"step": step, "values": values}
+        yield Entry(id=str(number), kind="metrics", time=datetime.fromtimestamp(time, UTC), data=data)
+
+
+def metrics_row(entry: Entry, number: int) -> Measurement:
+    """The row of an event of the kind `metrics`."""
+    return Measurement(number, entry.data["step"], entry.time.timestamp(), entry.data["values"])
 
 
 def entry_number(entry_id: str) -> int:
@@ -88,7 +102,8 @@ class Page:
 
 @dataclass(frozen=True)
 class Chunk:
-    """A finished part of a feed, in the object store: entries `first` to `last`, each a line of JSON."""
+    """A finished part of a feed, in the object store: entries `first` to `last`, each a line of JSON, or the
+    metrics among them as a `Block`."""
 
     channel: Channel
     first: int
@@ -100,26 +115,30 @@ class Chunk:
 
 @dataclass(frozen=True)
 class FeedPart:
-    """A feed after a position: the chunks that reach beyond it, then the entries after them.
+    """A feed after a position, up to entry number `last`: the chunks that reach beyond that position, and
+    the entries that lie in none; both in their order.
 
-    status: the job's status at that moment. is_end: whether the feed had no more entries then.
+    Chunks may have entries after `last`, which belong to the next part. status: the job's at that moment.
+    is_end: whether the feed had no more entries then.
     """
 
     chunks: Sequence[Chunk]
     entries: Sequence[Entry]
     status: JobStatus
+    last: int
     is_end: bool
 
 
 @dataclass(frozen=True)
-class MeasuredPart:
-    """Like `FeedPart`, but with only the `metrics` entries after the chunks.
+class MetricsPart:
+    """The metrics of a feed after a position, up to entry number `last`: the chunks that reach beyond that
+    position, and the blocks that lie in none. is_end: as in `FeedPart`.
 
-    last: the number of the last entry of any kind; 0 if there is none.
+    blocks: each the number of its first row, and its bytes.
     """
 
     chunks: Sequence[Chunk]
-    behind: Sequence[Measured]
+    blocks: Sequence[tuple[int, bytes]]
     last: int
     is_end: bool
 
@@ -292,19 +311,28 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         few chunks. Raises JobNotFound."""
         ...
 
-    def feed_metrics(self, job_id: str, *, after: int, limit: int) -> MeasuredPart:
-        """The part of `events` as `feed` has it, of its entries only the metrics. Raises JobNotFound."""
+    def feed_metrics(self, job_id: str, *, after: int = 0) -> MetricsPart:
+        """The metrics among the events after entry number `after`, as of one moment, and no more than a few
+        chunks. Raises JobNotFound."""
         ...
 
-    def long_feeds(self, *, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
-        """The feeds whose entries are due to become a chunk: those of ended jobs; and those with more than
-        `max_bytes`, or an entry older than `max_age`."""
+    def long_feeds(
+        self, *, max_bytes: int, max_age: timedelta, max_metrics_bytes: int
+    ) -> Sequence[tuple[str, Channel]]:
+        """The feeds that are due to become a chunk: those of ended jobs; those with more bytes than that; and
+        those with an entry, but for metrics, older than `max_age`."""
         ...
 
     def oldest_entries(
         self, job_id: str, channel: Channel, *, limit: int, max_bytes: int = 2**40
     ) -> Sequence[Entry]:
-        """The oldest entries that lie in no chunk yet; as many as have these bytes, and one more."""
+        """The oldest entries but metrics that lie in no chunk yet; as many as have these bytes, and one
+        more."""
+        ...
+
+    def oldest_metrics(self, job_id: str, *, max_bytes: int = 2**40) -> Sequence[tuple[int, bytes]]:
+        """The oldest blocks of metrics that lie in no chunk yet, as `MetricsPart` has them; as many as have
+        these bytes, and one more."""
         ...
 
     def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:

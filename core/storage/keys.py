@@ -3,8 +3,7 @@
 jobs/<id>/attempts/<n>/<hash>/<name>           an attempt's files, by the hash of their bytes
 jobs/<id>/imported/<hash>/<name>               a file that came with an import, by the hash of its bytes
 jobs/<id>/<channel>/<first>-<hash>.jsonl       a finished part of a feed, from entry <first> on
-jobs/<id>/columns/<first>-<hash>.msgpack       the metrics of eight parts of `events` from entry <first> on;
-                                               a copy, which may be lost
+jobs/<id>/metrics/<first>-<hash>.msgpack       the same for metrics, in columns
 models/<hash>/source                           a user's own model, as it was sent
 previews/<whose>/<hash>/<when>/about.json      which stills were drawn, or why none; written last
 previews/<whose>/<hash>/<when>/still-<n>.png   the stills; previews may be lost without harm
@@ -47,13 +46,8 @@ def is_imported(key: str) -> bool:
     return key.split("/")[2:3] == ["imported"]
 
 
-def chunk(job_id: str, channel: str, first: int, sha256: str) -> str:
-    return f"jobs/{job_id}/{channel}/{first:012d}-{sha256[:16]}.jsonl"
-
-
-def columns(job_id: str, first: int, sha256: str) -> str:
-    """sha256: of what the columns were made from."""
-    return f"jobs/{job_id}/columns/{first:012d}-{sha256[:16]}.msgpack"
+def chunk(job_id: str, channel: str, first: int, sha256: str, ending: str = "jsonl") -> str:
+    return f"jobs/{job_id}/{channel}/{first:012d}-{sha256[:16]}.{ending}"
 
 
 def models() -> str:

@@ -6,6 +6,7 @@ process that dies loses nothing.
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 from statistics import median
 
 from core.errors import JobNotFound
@@ -106,7 +107,7 @@ class Curves:
         self._known: dict[tuple[str, str], _Known] = {}
 
     def read(self, job_id: str | None, metric: str, *, has_ended: bool) -> Curve:
-        """The values by step; empty for a job that is gone. Raises the errors of `feeds.read_page`."""
+        """The values by step; empty for a job that is gone. Raises the errors of `feeds.read_metrics`."""
         if job_id is None:
             return {}
         known = self._known.setdefault((job_id, metric), _Known())
@@ -121,13 +122,12 @@ class Curves:
         return dict(known.values)
 
     def _read_on(self, job_id: str, metric: str, known: _Known) -> None:
-        pages = feeds.read_pages(job_id, "events", store=self._store, objects=self._objects, after=known.last)
-        for page in pages:
-            for entry in page:
-                if entry.kind == "metrics" and isinstance(
-                    value := entry.data["values"].get(metric), float | int
-                ):
-                    # An attempt that resumed at a checkpoint reports steps again; the newest value counts.
-                    known.values[int(entry.data["step"])] = float(value)
-            if page:
-                known.last = int(page[-1].id)
+        parts = feeds.read_metrics(
+            job_id, store=self._store, objects=self._objects, after=known.last, names=[metric]
+        )
+        for block, last in parts:
+            # An attempt that resumed at a checkpoint reports steps again; the newest value counts.
+            steps, _, values = block.column(metric)
+            found = zip(steps, values, strict=True)
+            known.values.update((step, value) for step, value in found if isfinite(value))
+            known.last = last

@@ -134,6 +134,7 @@ class JobProgress:
     def _take_job(self, job: JobView) -> bool:
         is_news = job.status != self.status
         self.status = job.status
+        self._take_metrics(job.progress.metrics)
         return self._take_progress(job.progress.model_dump()) or is_news
 
     def _take_event(self, event: Event) -> bool:
@@ -157,7 +158,6 @@ class JobProgress:
         self.total = int(data.get("total") or 0)
         self.steps_per_second = data.get("steps_per_second")
         self.eta_s = data.get("eta_s")
-        self._take_metrics(data.get("metrics") or {})
         return self.phase != before and not {before, self.phase} <= _ROUTINE
 
     def _take_metrics(self, values: Mapping[str, float | None]) -> None:

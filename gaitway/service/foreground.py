@@ -161,8 +161,8 @@ class Told(EventWriter):
                 self._say(f"{name}: {seconds:.1f} s")
             case Measured(values=values):
                 self._rows.write(message.model_dump_json(exclude={"type"}) + "\n")
-                if "eval/episode_reward" in values:
-                    self._return = f"  return {values['eval/episode_reward']:,.1f}"
+                if (reached := values.get("eval/episode_reward")) is not None:
+                    self._return = f"  return {reached:,.1f}"
             case Advanced(step=step, total=total, steps_per_second=rate):
                 self._say(f"{step:,}/{total:,} steps  {rate or 0:,.0f}/s{self._return}")
             case FileReady(path=path):

@@ -14,8 +14,9 @@ import pytest
 
 from core.errors import JobNotFound, LeaseLost, Rejected
 from core.jobs.job import Job, Progress, new_job_id
+from core.jobs.metrics import Block
 from core.jobs.status import JobStatus
-from core.jobs.store import Chunk, Entry, JobQuery, JobStore, Mark, entry_number
+from core.jobs.store import Chunk, Entry, JobQuery, JobStore, Mark, MetricsPart, entry_number
 from core.reasons import Reason
 from tests.contract.recording import (
     LEASE,
@@ -61,9 +62,16 @@ class TestEntries:
         assert (entries[0].kind, entries[0].time) == ("line", NOW)
 
     def test_values_that_are_not_finite_become_null(self, jobs: JobStore, job: Job) -> None:
-        entry = Entry(kind="metrics", time=NOW, data={"values": {"loss": float("nan"), "reward": 1.5}})
-        jobs.record(job.id, job.token, "events", [entry], write_id="w")
-        assert jobs.feed(job.id, "events").entries[-1].data == {"values": {"loss": None, "reward": 1.5}}
+        entry = Entry(
+            kind="metrics", time=NOW, data={"step": 1, "values": {"loss": float("nan"), "reward": 1.5}}
+        )
+        note = Entry(kind="note", time=NOW, data={"loss": float("inf")})
+        jobs.record(job.id, job.token, "events", [entry, note], write_id="w")
+        *_, measured, noted = jobs.feed(job.id, "events").entries
+        assert measured == entry.model_copy(
+            update={"id": "2", "data": {"step": 1, "values": {"loss": None, "reward": 1.5}}}
+        )
+        assert noted.data == {"loss": None}
 
     def test_reading_resumes_after_a_number(self, jobs: JobStore, job: Job) -> None:
         say(jobs, job, *map(str, range(25)))
@@ -277,6 +285,77 @@ class TestChunks:
         assert (list(part.chunks), list(part.entries)) == ([chunk], [])
 
 
+class TestMetrics:
+    """Rows in blocks, which have their numbers among the events."""
+
+    def test_rows_and_other_events_come_in_the_order_in_which_they_were_written(
+        self, jobs: JobStore, job: Job
+    ) -> None:
+        note = Entry(kind="note", time=NOW)
+        jobs.record(job.id, job.token, "events", [note, row(1), note, row(2)], write_id="a")
+        jobs.record(job.id, job.token, "events", [row(3, "other"), row(3), note], write_id="b")
+        entries = jobs.feed(job.id, "events").entries
+        assert [entry.id for entry in entries] == [str(number) for number in range(1, 9)]
+        said = ["status", "note", ["reward"], "note", ["reward"], ["other"], ["reward"], "note"]
+        assert [
+            [*entry.data["values"]] if entry.kind == "metrics" else entry.kind for entry in entries
+        ] == said
+        part = jobs.feed_metrics(job.id, after=3)
+        assert (list(part.chunks), part.last, part.is_end) == ([], 8, True)
+        assert steps(part) == {3: 1, 5: 2, 6: 3, 7: 3}  # Of a block that reaches beyond 3.
+        assert steps(jobs.feed_metrics(job.id, after=8)) == {}
+
+    def test_reading_resumes_after_a_number_and_at_a_limit(self, jobs: JobStore, job: Job) -> None:
+        for step in range(5):
+            note = Entry(kind="note", time=NOW, data={"step": step})
+            jobs.record(job.id, job.token, "events", [row(step), row(step), note], write_id=str(step))
+        for limit in (1, 2, 3, 100):
+            after, found, is_end = 1, list[int](), False
+            while not is_end:
+                part = jobs.feed(job.id, "events", after=after, limit=limit)
+                assert len(part.entries) <= limit
+                found += [entry.data["step"] for entry in part.entries]
+                after, is_end = part.last, part.is_end
+            assert found == [step for step in range(5) for _ in range(3)]
+
+    def test_a_repeated_write_changes_nothing_and_one_of_a_lost_lease_is_refused(
+        self, jobs: JobStore, job: Job
+    ) -> None:
+        for _ in range(2):
+            jobs.record(job.id, job.token, "events", [row(1)], write_id="same")
+        with pytest.raises(LeaseLost):
+            jobs.record(job.id, "1-other", "events", [row(2)], write_id="w")
+        assert steps(jobs.feed_metrics(job.id)) == {2: 1}
+
+    def test_the_oldest_blocks_become_a_chunk_and_the_rest_stays_behind_it(
+        self, jobs: JobStore, job: Job
+    ) -> None:
+        for step in range(3):
+            jobs.record(job.id, job.token, "events", [row(step)], write_id=str(step))
+        assert due(jobs, job) == []
+        assert due(jobs, job, max_bytes=100) == ["metrics"]
+        [(first, _)] = jobs.oldest_metrics(job.id, max_bytes=1)
+        chunk = Chunk("metrics", first, first, "key", size=1, sha256="0" * 64)
+        for _ in range(2):
+            jobs.replace_by_chunk(job.id, chunk)
+        part = jobs.feed_metrics(job.id)
+        assert (list(part.chunks), steps(part)) == ([chunk], {3: 1, 4: 2})
+        assert list(jobs.feed_metrics(job.id, after=first).chunks) == []
+        assert [found.channel for found in jobs.feed(job.id, "events").chunks] == ["metrics"]
+        jobs.save(job.ended(JobStatus.FAILED, Reason.DIVERGED, "", NOW))
+        assert due(jobs, job) == ["events", "metrics"]
+
+
+def row(step: int, name: str = "reward") -> Entry:
+    return Entry(kind="metrics", time=NOW, data={"step": step, "values": {name: float(step)}})
+
+
+def steps(part: MetricsPart) -> dict[int, int]:
+    """The steps of its rows in the record, by their numbers."""
+    blocks = [Block.decode(body, first) for first, body in part.blocks]
+    return {one.number: one.step for block in blocks for one in block.rows()}
+
+
 class TestLongFeeds:
     """Which entries are due to become a chunk."""
 
@@ -320,7 +399,7 @@ def recent(jobs: JobStore, job: Job, text: str) -> None:
 
 
 def due(jobs: JobStore, job: Job, max_bytes: int = 10**6) -> list[str]:
-    found = jobs.long_feeds(max_bytes=max_bytes, max_age=timedelta(minutes=10))
+    found = jobs.long_feeds(max_bytes=max_bytes, max_age=timedelta(minutes=10), max_metrics_bytes=max_bytes)
     assert {job_id for job_id, _ in found} <= {job.id}
     return sorted(channel for _, channel in found)
 

@@ -27,6 +27,7 @@ from core.jobs.status import NEXT, JobStatus
 from core.jobs.store import Entry
 from core.jobs.submission import submit
 from core.reasons import Reason
+from tests.feeds import read_feed
 
 LEASE = timedelta(minutes=5)
 SPEC = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", "max_attempts": 3})
@@ -215,7 +216,7 @@ class Life(RuleBasedStateMachine):
         assert {a.name for a in job.artifacts} == known.published
         assert [attempt.number for attempt in job.attempts] == list(range(1, len(job.attempts) + 1))
         assert all(attempt.ended_at for attempt in job.attempts[:-1])
-        said = feeds.read(job.id, "logs", store=self.store, objects=self.objects)
+        said = read_feed(job.id, "logs", store=self.store, objects=self.objects)
         assert [entry.data["text"] for entry in said] == [str(number) for number in range(known.said)]
         assert [entry.id for entry in said] == [str(number) for number in range(1, known.said + 1)]
 

@@ -20,10 +20,11 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.postgres.tables import metadata
 from core.errors import Misconfigured, RecordsUnavailable
 from core.jobs.job import Job
-from core.jobs.store import Idempotency
+from core.jobs.store import Entry, Idempotency
 from tests.conftest import Databases
 from tests.contract.recording import (
     LEASE,
+    NOW,
     Database,
     artifact,
     chunk_of,
@@ -98,6 +99,8 @@ def fill(engine: Engine) -> Job:
     jobs.save(published := claimed.with_artifacts((artifact("a"),)))
     say(jobs, claimed, "a", "b")
     jobs.replace_by_chunk(claimed.id, chunk_of(jobs.oldest_entries(claimed.id, "logs", limit=1)))
+    row = Entry(kind="metrics", time=NOW, data={"step": 1, "values": {"reward": 1.0}})
+    jobs.record(claimed.id, claimed.token, "events", [row], write_id="w")
     jobs.add_model(model(status="validating"))
     jobs.announce(worker("w"), LEASE)
     gone = jobs.add(queued_job(2))

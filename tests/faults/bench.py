@@ -14,7 +14,6 @@ from pydantic import SecretStr
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
-from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.ending import cancel
 from core.jobs.job import Job
@@ -22,6 +21,7 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.store import Channel, Entry, JobStore
 from core.jobs.submission import submit
 from core.settings import WorkerSettings
+from tests.feeds import read_feed
 from worker.supervision.supervisor import Supervisor
 
 PROBE = Path(__file__).with_name("probe_process.py")
@@ -98,7 +98,7 @@ class Bench:
 
     def feed(self, job: Job, channel: Channel, kind: str | None = None) -> Sequence[Entry]:
         """All of it."""
-        return feeds.read(job.id, channel, store=self.store, objects=self.objects, kind=kind, limit=1_000_000)
+        return read_feed(job.id, channel, store=self.store, objects=self.objects, kind=kind)
 
     def lines(self, job: Job) -> list[str]:
         """Its log."""

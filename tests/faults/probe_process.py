@@ -36,7 +36,7 @@ match behaviour:
         print("a line of the log", flush=True)
         for step in (10, 20):
             say(type="metrics", step=step, values={"eval/episode_reward": float(step)})
-            say(type="progress", step=step, total=20, steps_per_second=5.0, eta_s=0.0, metrics={"a": 1.0})
+            say(type="progress", step=step, total=20, steps_per_second=5.0, eta_s=0.0)
             keep(f"checkpoint-{step:012d}.msgpack", "checkpoint", b"state %d" % step, step)
         say(type="finished")
     case "is_filmed":

@@ -34,6 +34,7 @@ from core.reasons import Reason
 from core.storage import keys
 from tests.contract.recording import Database
 from tests.faults.crashing import Crash, Died, Failure, Process
+from tests.feeds import read_feed
 
 LEASE = timedelta(minutes=5)
 STEPS = (1, 2)
@@ -349,8 +350,8 @@ def _problems(real: Process, service: Service, job_id: str, expected: JobStatus 
 
 
 def _problems_of_feeds(real: Process, job: Job) -> Iterator[str]:
-    events = feeds.read(job.id, "events", store=real.store, objects=real.objects)
-    logs = feeds.read(job.id, "logs", store=real.store, objects=real.objects)
+    events = read_feed(job.id, "events", store=real.store, objects=real.objects)
+    logs = read_feed(job.id, "logs", store=real.store, objects=real.objects)
     for feed in (events, logs):
         if [int(entry.id) for entry in feed] != list(range(1, len(feed) + 1)):
             yield f"a feed has a gap or a double: {[entry.id for entry in feed]}"

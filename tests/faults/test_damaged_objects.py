@@ -33,6 +33,7 @@ from tests.extra import extra
 from tests.faults.campaign.proxy import Proxy
 from tests.faults.campaign.volumes import flip_byte
 from tests.faults.test_flipped_bytes import proxied
+from tests.feeds import read_feed
 from worker.supervision.starting_point import write_task
 
 # Finding out that an object is damaged takes about ten seconds; a training goes on within these.
@@ -347,7 +348,7 @@ def test_a_feed_with_a_damaged_chunk_shows_the_rest_within_seconds(
     damage(weed, object_store.get(chunk.key))
     fresh = S3ObjectStore(object_store._client, object_store._bucket)
     began = time.monotonic()
-    [note] = feeds.read(job.id, "logs", store=job_store, objects=fresh)
+    [note] = read_feed(job.id, "logs", store=job_store, objects=fresh)
     assert time.monotonic() - began < WITHIN_S
     assert note.data == {"text": "Entry 1 of this feed was damaged in the object store."}
     assert "status" in api.get(f"/jobs/{job.id}/events?follow=false").text
@@ -363,6 +364,6 @@ def test_a_feed_whose_chunk_is_served_slowly_for_ever_shows_the_rest_within_seco
     job_store.save(job_store.get(job.id).ended(JobStatus.FAILED, Reason.TRAINING_CRASHED, "", NOW))
     feeds.compact(store=job_store, objects=object_store)
     began = time.monotonic()
-    [note] = feeds.read(job.id, "logs", store=job_store, objects=dripping)
+    [note] = read_feed(job.id, "logs", store=job_store, objects=dripping)
     assert time.monotonic() - began < WITHIN_S
     assert note.data == {"text": "Entries 1 to 40 of this feed were damaged in the object store."}

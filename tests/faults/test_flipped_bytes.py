@@ -22,6 +22,7 @@ from gaitway.service.embedded.weed import Weed
 from gaitway.service.embedded.weed_environment import REGION
 from tests.contract.recording import NOW, artifact, held, queued_job, say
 from tests.faults.campaign.proxy import Mode, Proxies, Proxy
+from tests.feeds import read_feed
 from worker.supervision.starting_point import write_task
 
 BODY = bytes(range(256)) * 400
@@ -146,7 +147,7 @@ def ended_with_a_line(job_store: PostgresJobStore, objects: ObjectStore) -> str:
 def test_a_part_of_a_feed_that_was_flipped_on_the_way_is_read_again(job_store: PostgresJobStore) -> None:
     objects = FlipsOnce()
     job = ended_with_a_line(job_store, objects)
-    [line] = feeds.read(job, "logs", store=job_store, objects=objects)
+    [line] = read_feed(job, "logs", store=job_store, objects=objects)
     assert objects.has_flipped
     assert line.data == {"text": "a line"}
 
@@ -155,7 +156,7 @@ def test_a_part_of_a_feed_is_not_read_with_other_bytes(job_store: PostgresJobSto
     objects = Flips()
     job = ended_with_a_line(job_store, objects)
     with pytest.raises(StorageUnavailable, match="SHA-256"):
-        feeds.read(job, "logs", store=job_store, objects=objects)
+        read_feed(job, "logs", store=job_store, objects=objects)
 
 
 def test_a_part_of_a_feed_that_is_damaged_at_rest_is_told_as_such(
@@ -165,11 +166,11 @@ def test_a_part_of_a_feed_that_is_damaged_at_rest_is_told_as_such(
     [found] = object_store.list(f"jobs/{job}/logs/")
     body = object_store.get(found.key)
     object_store.put(found.key, body[:-2] + b"!\n")
-    [note] = feeds.read(job, "logs", store=job_store, objects=object_store)
+    [note] = read_feed(job, "logs", store=job_store, objects=object_store)
     assert (note.id, note.kind) == ("1", "note")
     assert note.data == {"text": "Entry 1 of this feed was damaged in the object store."}
     object_store.put(found.key, body)  # From a back-up.
-    [line] = feeds.read(job, "logs", store=job_store, objects=object_store)
+    [line] = read_feed(job, "logs", store=job_store, objects=object_store)
     assert line.data == {"text": "a line"}
 
 

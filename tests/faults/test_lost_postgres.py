@@ -18,7 +18,6 @@ from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.engine import PromptConnection
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobNotFound, RecordsUnavailable
-from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.ending import cancel, delete
 from core.jobs.job import Artifact, Job, utc_now
@@ -32,6 +31,7 @@ from core.retry import retry_while_unavailable
 from tests.contract.recording import Database, watch
 from tests.faults.bench import unused_servers, wait_until
 from tests.faults.outages import Outages, Watch, pooled, submitted
+from tests.feeds import read_feed
 from worker.supervision.heartbeat import Heartbeat
 
 pytestmark = pytest.mark.extra
@@ -236,7 +236,7 @@ class Service:
         return cancel(job.id, store=self.store, queue=self.queue)
 
     def statuses(self, job: Job) -> list[str]:
-        entries = feeds.read(job.id, "events", store=self.store, objects=self.objects)
+        entries = read_feed(job.id, "events", store=self.store, objects=self.objects)
         return [entry.data["status"] for entry in entries if entry.kind == "status"]
 
 
@@ -344,7 +344,7 @@ class TestLostAnswers:
                     job.id, claim.token, "logs", lines, write_id=str(number)
                 )
             )
-        entries = feeds.read(job.id, "logs", store=service.store, objects=service.objects)
+        entries = read_feed(job.id, "logs", store=service.store, objects=service.objects)
         assert [entry.data["text"] for entry in entries] == ["0a", "0b", "1a", "1b", "2a", "2b"]
 
     @pytest.mark.parametrize("is_held", [False, True])

@@ -18,7 +18,6 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.adapters.wiring import connect_redis
 from core.errors import RecordsUnavailable
-from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.ending import cancel
 from core.jobs.job import Job
@@ -31,6 +30,7 @@ from gaitway.service.embedded.valkey import Valkey
 from tests.contract.recording import Database, watch
 from tests.faults.bench import wait_until
 from tests.faults.outages import NullWorker, submitted
+from tests.feeds import read_feed
 from tests.unit.worker.environments import environment
 from worker.main import GaitwayWorker
 
@@ -61,7 +61,7 @@ class Service:
         return sum(self.reconciler.look() for _ in range(times))
 
     def events(self, job: Job) -> list[Entry]:
-        return list(feeds.read(job.id, "events", store=self.store, objects=self.objects))
+        return list(read_feed(job.id, "events", store=self.store, objects=self.objects))
 
 
 @pytest.fixture

@@ -37,6 +37,7 @@ from gaitway.service.embedded.servers import EmbeddedServers
 from gaitway.service.embedded.stack import lock_folder
 from tests.conftest import Databases
 from tests.contract.recording import LEASE, Database, watch
+from tests.feeds import read_feed
 from tests.unit.jobs.playing import PlayedWorker
 
 NOBODYS = "019aa3c2f0b1-0000000000"
@@ -78,7 +79,7 @@ def compact(worker: PlayedWorker) -> None:
 
 
 def texts(job_id: str, store: JobStore, objects: ObjectStore, channel: str = "logs") -> list[str]:
-    found = feeds.read(job_id, channel, store=store, objects=objects)  # type: ignore[arg-type]
+    found = read_feed(job_id, channel, store=store, objects=objects)  # type: ignore[arg-type]
     return [entry.data["text"] for entry in found if "text" in entry.data]
 
 
@@ -134,7 +135,7 @@ def test_what_the_bucket_lacks_is_listed_by_job_and_marked(
     worker.say(claim, "logs", "line 902")
     gap = "Entries 1 to 900 of this feed were lost from the object store."
     assert texts(claim.job_id, store, objects) == [gap, "line 901", "line 902"]
-    [first, *_] = feeds.read(claim.job_id, "logs", store=store, objects=objects, after=500, limit=1)
+    [first, *_] = read_feed(claim.job_id, "logs", store=store, objects=objects, after=500, limit=1)
     assert (first.id, first.kind) == ("900", "note")
 
 

@@ -6,7 +6,7 @@ import os
 import queue
 import secrets
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -17,6 +17,7 @@ from threading import Thread
 
 import structlog
 
+from core.algorithms.events import is_of_a_seed
 from core.errors import StorageUnavailable
 from core.jobs.attempts import Claim
 from core.jobs.job import Artifact, Progress, utc_now
@@ -78,6 +79,8 @@ class Outbox:
         self._spool = spool
         self._keep_checkpoints = keep_checkpoints
         self._progress = progress
+        # The newest values that this attempt has measured.
+        self._newest: dict[str, float] = {}
         self._story = story
         self._dropped: list[tuple[float, str]] = []
         self._waiting: queue.SimpleQueue[_Received | None] = queue.SimpleQueue()
@@ -168,12 +171,14 @@ class Outbox:
         )
 
     def _store_said(self, said: Sequence[_Received], write_id: str) -> None:
-        entries, progress = list[Entry](), self._progress
+        entries, progress, newest = list[Entry](), self._progress, dict(self._newest)
         for item in said:
-            progress = _advanced(progress, item.what)
+            if isinstance(item.what, Measured):
+                newest = _with_newest(newest, item.what)
+            progress = _advanced(progress, item.what, newest)
             entries.append(_entry(item, progress))
         self._record("events", entries, write_id, None if progress is self._progress else progress)
-        self._progress = progress
+        self._progress, self._newest = progress, newest
 
     def _store_one(self, heard: Sequence[_Received], write_id: str) -> None:
         (item,) = heard
@@ -248,12 +253,18 @@ class Outbox:
         return keys.artifact(self._claim.job_id, self._claim.number, sha256, name)
 
 
-def _advanced(progress: Progress, message: Message | str) -> Progress:
+def _with_newest(newest: Mapping[str, float], row: Measured) -> dict[str, float]:
+    """The newest values that a job shows, with this row. A value of one of several seeds is not shown."""
+    shown = {name: value for name, value in newest.items() if name not in row.values}
+    return shown | {name: value for name, value in row.finite.items() if not is_of_a_seed(name)}
+
+
+def _advanced(progress: Progress, message: Message | str, newest: dict[str, float]) -> Progress:
     match message:
         case PhaseBegan(phase=phase):
             return progress.model_copy(update={"phase": phase})
         case Advanced():
-            return Progress(**message.model_dump(exclude={"type"}), phase=progress.phase)
+            return Progress(**message.model_dump(exclude={"type"}), metrics=newest, phase=progress.phase)
         case _:
             return progress
 
@@ -266,9 +277,11 @@ def _entry(item: _Received, progress: Progress) -> Entry:
         case Noted(text=text):
             return Entry(kind="note", time=item.time, data={"text": text})
         case PhaseBegan() | Advanced():
-            return Entry(kind="progress", time=item.time, data=progress.model_dump())
-        case PhaseEnded() | Measured() as message:
-            return Entry(kind=message.type, time=item.time, data=message.model_dump(exclude={"type"}))
+            return Entry(kind="progress", time=item.time, data=progress.model_dump(exclude={"metrics"}))
+        case PhaseEnded() as message:
+            return Entry(kind="phase", time=item.time, data=message.model_dump(exclude={"type"}))
+        case Measured(step=step) as message:
+            return Entry(kind="metrics", time=item.time, data={"step": step, "values": message.finite})
         case _:
             raise TypeError(f"{item.what!r} is no entry")
 

@@ -56,7 +56,7 @@ class Story:
                 yield from self._started(message)
             case PhaseEnded(name=name, seconds=seconds) if name in _PARTS:
                 yield from timed(f"{_PARTS[name]} in {seconds:.1f} s")
-            case Measured(step=step, values=values) if any(name.startswith("eval/") for name in values):
+            case Measured(step=step, finite=values) if any(name.startswith("eval/") for name in values):
                 yield from timed(f"Step {step:,}: {_evaluated(values)}")
             case FileReady(role="best_policy", step=step, metadata=facts):
                 of_seed = f" of seed {facts['seed']}" if "seed" in facts else ""

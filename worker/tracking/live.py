@@ -47,7 +47,7 @@ class Live:
         match message:
             case Started(device=device, engine=engine, details=details):
                 self._put(Configured(values=as_resolved(device, engine, details)))
-            case Measured(step=step, values=values):
+            case Measured(step=step, finite=values):
                 self._put(Row(step=step, values=values))
             case FileReady(role="video" | "policy" as role, path=path, step=step, metadata=facts):
                 kept = VideoFile if role == "video" else PolicyFile

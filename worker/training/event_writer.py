@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from core.jobs.job import ArtifactRole
-from worker.protocol import LONGEST_MESSAGE, Advanced, Failed, FileReady, Measured, Message, Noted
+from worker.protocol import LONGEST_MESSAGE, Failed, FileReady, Measured, Message, Noted
 
 # Files that all seeds of a job share.
 _SHARED: tuple[ArtifactRole, ...] = ("scene", "simulation")
@@ -117,8 +117,6 @@ def _instead_of(message: Message, num_bytes: int) -> Sequence[Message]:
             names, half = list(values), len(values) // 2
             parts = ({name: values[name] for name in some} for some in (names[:half], names[half:]))
             return [message.model_copy(update={"values": part}) for part in parts]
-        case Advanced(metrics=metrics) if metrics:
-            return [message.model_copy(update={"metrics": {}})]
         case Failed(message=text):
             return [message.model_copy(update={"message": text[:_KEPT]})]
         case Noted(text=text):

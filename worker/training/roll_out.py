@@ -151,4 +151,4 @@ def _report(summary: dict[str, Any], events: EventWriter) -> None:
         "eval/forward_speed": summary["mean"]["forward_speed_m_s"],
     }
     events.send(Measured(step=steps, values=values))
-    events.send(Advanced(step=steps, total=steps, eta_s=0.0, metrics=values))
+    events.send(Advanced(step=steps, total=steps, eta_s=0.0))

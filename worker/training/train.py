@@ -18,7 +18,6 @@ from core.algorithms.events import (
     Phase,
     Progress,
     SeedDiverged,
-    is_of_a_seed,
 )
 from core.algorithms.run import make_run
 from core.algorithms.seeds import make_seeds_run
@@ -177,16 +176,17 @@ def _steps_between_checkpoints(spec: TrainSpec, settings: BaseSpec) -> int:
 
 @dataclass
 class Report:
-    """Turns a run's events into messages; remembers the newest metrics, and the last checkpoint kept."""
+    """Turns a run's events into messages; remembers the last checkpoint kept."""
 
     events: EventWriter
     run: FollowedRun
     checkpoint_every_s: float = float("inf")
-    _metrics: dict[str, float] = field(default_factory=dict[str, float])
     _kept_step: int | None = None
     _kept_at: float = field(default_factory=time.monotonic)
     _warned_of: set[str] = field(default_factory=set[str])
     _started: tuple[float, int] = (0.0, 0)
+    # Steps a second as the run has measured them, until there is a longer time to judge by.
+    _rate: float | None = None
 
     def enter(self, phase: JobPhase) -> None:
         """Tell that the process does this from now on."""
@@ -199,17 +199,14 @@ class Report:
                 if name == "compile":
                     self.enter("training")
             case Progress(step=step, total=total, metrics=metrics):
-                self._remember(metrics)
                 self._warn(step, metrics)
-                self.events.send(Measured(step=step, values=dict(metrics)))
-                self.events.send(self._advanced(step, total))
+                self._rate = metrics.get("training/sps", self._rate)
+                self._measured(step, metrics, total)
             case Evaluating():
                 self.enter("evaluating")
             case Evaluated(step=step, metrics=metrics):
-                self._remember(metrics)
                 self.enter("training")
-                self.events.send(Measured(step=step, values=dict(metrics)))
-                self.events.send(self._advanced(step, self.run.total))
+                self._measured(step, metrics, self.run.total)
             case CheckpointReady():
                 self.keep_checkpoint()
             case SeedDiverged(seed=seed, detail=detail):
@@ -231,10 +228,6 @@ class Report:
             self.keep_checkpoint()
         return is_due
 
-    def _remember(self, metrics: Mapping[str, float]) -> None:
-        """Remember the newest values that a job shows; of several seeds these are the means."""
-        self._metrics.update((name, value) for name, value in metrics.items() if not is_of_a_seed(name))
-
     def _warn(self, step: int, metrics: Mapping[str, float]) -> None:
         """Warn once per kind. How often it happens is a metric, except for numbers that are not finite."""
         for name, value in metrics.items():
@@ -247,13 +240,12 @@ class Report:
                 self._warned_of.add(name)
                 self.events.send(Noted(text=f"By step {step}, {what}"))
 
-    def _advanced(self, step: int, total: int) -> Advanced:
+    def _measured(self, step: int, metrics: Mapping[str, float], total: int) -> None:
+        self.events.send(Measured(step=step, values=dict(metrics)))
         now = time.monotonic()
         if self._started == (0.0, 0):
             self._started = (now, step)
         began, first_step = self._started
-        rate = (step - first_step) / (now - began) if step > first_step else self._metrics.get("training/sps")
+        rate = (step - first_step) / (now - began) if step > first_step else self._rate
         eta_s = max(0, total - step) / rate if rate else None
-        return Advanced(
-            step=step, total=total, steps_per_second=rate, eta_s=eta_s, metrics=dict(self._metrics)
-        )
+        self.events.send(Advanced(step=step, total=total, steps_per_second=rate, eta_s=eta_s))

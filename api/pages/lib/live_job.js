@@ -5,8 +5,10 @@ import { follow } from "./events.js";
 import { useCallback, useEffect, useRef, useState } from "./html.js";
 import { isOver, RETURNS } from "./job.js";
 import { useLive } from "./live.js";
+import { isOfASeed } from "./seeds.js";
 
 const RELOAD_MS = 300; // Several files of one moment cost one request.
+const withProgress = (job, news) => ({ ...job, progress: { ...job.progress, ...news } });
 
 /**
  * @param {string} id
@@ -39,9 +41,12 @@ export function useJob(id) {
       timer.current = setTimeout(again, RELOAD_MS);
     };
     const hear = (kind, event, time, number) => {
-      if (kind === "progress") setJob((known) => known && { ...known, progress: event });
-      else if (kind === "metrics") metrics.current.forEach((listener) => listener({ ...event, time }));
-      else {
+      if (kind === "progress") setJob((known) => known && withProgress(known, event));
+      else if (kind === "metrics") {
+        const newest = Object.fromEntries(Object.entries(event.values).filter(([name]) => !isOfASeed(name)));
+        setJob((known) => known && withProgress(known, { metrics: { ...known.progress.metrics, ...newest } }));
+        metrics.current.forEach((listener) => listener({ ...event, time }));
+      } else {
         phases.current.forEach((listener) => listener({ kind, ...event, time, number }));
         if (kind === "status" || kind === "artifact") soon();
       }

@@ -1,4 +1,4 @@
-"""A job's feeds: numbered entries; the older ones lie in chunks in the object store."""
+"""A job's feeds: numbered entries, and metrics in blocks; older ones lie in chunks in the object store."""
 
 import json
 from collections import defaultdict
@@ -9,26 +9,52 @@ from datetime import timedelta
 from tempfile import TemporaryFile
 from typing import Any
 
-from pydantic_core import from_json, to_json
-from sqlalchemy import Column, Connection, TextClause, delete, func, or_, select, text, update
+import msgspec
+from pydantic_core import to_json
+from sqlalchemy import (
+    Column,
+    Connection,
+    Row,
+    TextClause,
+    delete,
+    func,
+    literal,
+    or_,
+    select,
+    text,
+    union_all,
+    update,
+)
 from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres import rows
 from core.adapters.postgres.engine import Session
-from core.adapters.postgres.tables import NOW, UNFINISHED, chunks, entries, jobs
+from core.adapters.postgres.tables import NOW, UNFINISHED, chunks, entries, jobs, metrics
 from core.errors import JobNotFound, LeaseLost, StorageUnavailable
 from core.jobs.job import Progress
-from core.jobs.measured import in_rows
-from core.jobs.store import Channel, Chunk, Entry, FeedPart, MeasuredPart
+from core.jobs.metrics import Block
+from core.jobs.store import (
+    Channel,
+    Chunk,
+    Entry,
+    FeedPart,
+    MetricsPart,
+    metrics_entries,
+    metrics_row,
+)
 
-# Kinds, times and data of entries.
-_Batch = tuple[list[str], list[str], list[str]]
 _NUM: dict[Channel, Column[int]] = {"events": jobs.c.num_events, "logs": jobs.c.num_logs}
-_INSERT = """
-    INSERT INTO entries (job_id, channel, number, kind, time, data)
-    SELECT :job_id, :channel, last_before + place, said.kind, said.time, said.data
-    FROM grown, unnest(CAST(:kinds AS text[]), CAST(:times AS timestamptz[]), CAST(:data AS text[]))
-         WITH ORDINALITY AS said (kind, time, data, place)
+_WRITTEN = """
+    written AS (
+        INSERT INTO entries (job_id, channel, number, kind, time, data)
+        SELECT :job_id, :channel, last_before + said.place, said.kind, said.time, said.data
+        FROM grown, unnest(CAST(:places AS bigint[]), CAST(:kinds AS text[]), CAST(:times AS timestamptz[]),
+            CAST(:data AS text[])) AS said (place, kind, time, data)
+    ), measured AS (
+        INSERT INTO metrics (job_id, first, last, block)
+        SELECT :job_id, last_before + :first, last_before + :last, said.block
+        FROM grown, CAST(:block AS bytea) AS said (block) WHERE said.block IS NOT NULL
+    )
 """
 # Writing to a feed and reading it are one statement each: most of the time went into round trips.
 _APPEND: dict[Channel, TextClause] = {
@@ -38,8 +64,8 @@ _APPEND: dict[Channel, TextClause] = {
             SET {counter.name} = {counter.name} + :count, progress = coalesce(:progress, progress)
             WHERE id = :job_id
             RETURNING {counter.name} - :count AS last_before
-        )
-        {_INSERT}
+        ), {_WRITTEN}
+        SELECT last_before FROM grown
     """)  # noqa: S608 # Names of columns.
     for channel, counter in _NUM.items()
 }
@@ -54,68 +80,116 @@ _APPEND_AS_ATTEMPT: dict[Channel, TextClause] = {
                 progress = coalesce(:progress, jobs.progress)
             FROM held WHERE jobs.id = held.id AND held.last_write IS DISTINCT FROM :write_id
             RETURNING jobs.{counter.name} - :count AS last_before
-        ), written AS ({_INSERT})
+        ), {_WRITTEN}
         SELECT id FROM held
     """)  # noqa: S608 # Names of columns.
     for channel, counter in _NUM.items()
 }
-# Entries may be long: of those that a reader asks for, it gets as many as have these bytes, and one more.
-_BYTES_BEFORE = """
-    sum(octet_length(data)) OVER (ORDER BY number ROWS UNBOUNDED PRECEDING) - octet_length(data)
-    AS bytes_before
-"""
+
+
+def _bytes_before(column: str, order: str) -> str:
+    """Entries may be long: of those that a reader asks for, it gets as many as have these bytes, and one
+    more."""
+    size = f"octet_length({column})"
+    return f"sum({size}) OVER (ORDER BY {order} ROWS UNBOUNDED PRECEDING) - {size} AS bytes_before"
+
+
 _READ = text(f"""
-    SELECT jobs.status,
+    SELECT jobs.status, jobs.num_events, jobs.num_logs,
         (SELECT json_agg(found ORDER BY found.first) FROM (
             SELECT channel, first, last, key, size, sha256 FROM chunks
-            WHERE job_id = :job_id AND channel = :channel AND last > :after ORDER BY first LIMIT :chunks
-        ) AS found) AS chunks, behind.*
+            WHERE job_id = :job_id AND channel = ANY(CAST(:channels AS text[])) AND last > :after
+            ORDER BY first LIMIT :chunks
+        ) AS found) AS chunks, behind.*, measured.*
     FROM jobs CROSS JOIN LATERAL (
-        SELECT count(*) AS num, json_agg(json_build_array(number, kind, time, data) ORDER BY number)
+        SELECT count(*) AS num_entries, json_agg(json_build_array(number, kind, time, data) ORDER BY number)
             FILTER (WHERE bytes_before < :bytes) AS entries
         FROM (
-            SELECT number, kind, time, data, {_BYTES_BEFORE} FROM entries
+            SELECT number, kind, time, data, {_bytes_before("data", "number")} FROM entries
             WHERE job_id = :job_id AND channel = :channel AND number > :after ORDER BY number LIMIT :limit
         ) AS found
-    ) AS behind
+    ) AS behind CROSS JOIN LATERAL (
+        SELECT count(*) AS num_blocks, max(last) FILTER (WHERE bytes_before < :bytes) AS last_measured,
+            array_agg(first ORDER BY first) FILTER (WHERE bytes_before < :bytes) AS firsts,
+            array_agg(block ORDER BY first) FILTER (WHERE bytes_before < :bytes) AS blocks
+        FROM (
+            SELECT first, last, block, {_bytes_before("block", "first")} FROM metrics
+            WHERE job_id = :job_id AND 'metrics' = ANY(CAST(:channels AS text[])) AND last > :after
+            ORDER BY first LIMIT :limit
+        ) AS found
+    ) AS measured
     WHERE jobs.id = :job_id
-""")  # noqa: S608 # A constant.
+""")  # noqa: S608 # Constants.
 _OLDEST = text(f"""
     SELECT number, kind, time, data FROM (
-        SELECT number, kind, time, data, {_BYTES_BEFORE} FROM entries
+        SELECT number, kind, time, data, {_bytes_before("data", "number")} FROM entries
         WHERE job_id = :job_id AND channel = :channel ORDER BY number LIMIT :limit
     ) AS found WHERE bytes_before < :bytes ORDER BY number
 """)  # noqa: S608 # A constant.
-# JSON made by PostgreSQL for each entry would take most of the time. Entries count only after the last chunk.
-_READ_METRICS = text(f"""
-    WITH known AS (
-        SELECT channel, first, last, key, size, sha256 FROM chunks
-        WHERE job_id = :job_id AND channel = 'events' AND last > :after ORDER BY first LIMIT :chunks
-    )
-    SELECT (SELECT json_agg(known ORDER BY known.first) FROM known) AS chunks, behind.*
-    FROM jobs CROSS JOIN LATERAL (
-        SELECT count(*) FILTER (WHERE bytes_before < :bytes) AS num, count(*) AS num_before_bytes,
-            max(number) FILTER (WHERE bytes_before < :bytes) AS last,
-            array_agg(date_part('epoch', time) ORDER BY number)
-                FILTER (WHERE kind = 'metrics' AND bytes_before < :bytes) AS times,
-            string_agg(data, ',' ORDER BY number)
-                FILTER (WHERE kind = 'metrics' AND bytes_before < :bytes) AS data
-        FROM (
-            SELECT number, kind, time, data, {_BYTES_BEFORE} FROM entries
-            WHERE job_id = :job_id AND channel = 'events' AND number > :after ORDER BY number
-            LIMIT CASE WHEN (SELECT count(*) FROM known) < :chunks THEN :limit ELSE 0 END
-        ) AS found
-    ) AS behind
-    WHERE jobs.id = :job_id
+_OLDEST_METRICS = text(f"""
+    SELECT first, block FROM (
+        SELECT first, block, {_bytes_before("block", "first")} FROM metrics WHERE job_id = :job_id
+    ) AS found WHERE bytes_before < :bytes ORDER BY first
 """)  # noqa: S608 # A constant.
 # A reader gets a few chunks at a time; each is a request to the object store.
 _MAX_CHUNKS = 4
-_PART_BYTES = 2**20
-_AT_ONCE = {"chunks": _MAX_CHUNKS + 1, "bytes": _PART_BYTES}
+_AT_ONCE = {"chunks": _MAX_CHUNKS + 1, "bytes": 2**20}
+_MAX_BLOCKS = 2000
 _MAX_DUE = 200
 # Appending one batch takes a fraction of a call's time limit.
 _BATCH = 1000
 _BATCH_BYTES = 2**20
+
+
+class _Batch:
+    """Entries for one statement: by their places from 1 on, and a block of the metrics among them.
+
+    size: about as many bytes as it has.
+    """
+
+    def __init__(self, said: Iterable[Entry] = ()) -> None:
+        self.count = self.size = 0
+        self._said: dict[str, list[Any]] = {"places": [], "kinds": [], "times": [], "data": []}
+        self._measured = Block()
+        for entry in said:
+            self.add(entry)
+
+    def add(self, entry: Entry) -> None:
+        self.count += 1
+        if entry.kind == "metrics":
+            self._measured.add(metrics_row(entry, self.count))
+            self.size += 8 * len(entry.data["values"])
+            return
+        data = to_json(entry.data, inf_nan_mode="null").decode()
+        for name, value in zip(
+            self._said, (self.count, entry.kind, entry.time.isoformat(), data), strict=True
+        ):
+            self._said[name].append(value)
+        self.size += len(data)
+
+    def values(self) -> dict[str, Any]:
+        """The parameters of `_WRITTEN`, but for the job and the channel."""
+        block = self._measured
+        body = block.encode() if block.tables else None
+        return {"count": self.count, **self._said, "first": block.first, "last": block.last, "block": body}
+
+
+class _Found:
+    """A row of `_READ`, and how far it reaches: up to entry number `last`, the feed's end if `is_end`."""
+
+    def __init__(self, row: Row[Any], end: int, limit: int) -> None:
+        found = [Chunk(**chunk) for chunk in row.chunks or ()]
+        self.status = rows.status(row.status)
+        self.chunks = found[:_MAX_CHUNKS]
+        self.entries: list[Any] = row.entries or []
+        self.blocks = list(zip(row.firsts or (), row.blocks or (), strict=True))
+        cuts = [chunk.first - 1 for chunk in found[_MAX_CHUNKS:]]
+        if row.num_entries == limit or row.num_entries > len(self.entries):
+            cuts.append(self.entries[-1][0])
+        if row.num_blocks == limit or row.num_blocks > len(self.blocks):
+            cuts.append(row.last_measured)
+        self.last = min(cuts, default=end)
+        self.is_end = not cuts
 
 
 class Feeds(Session):
@@ -136,50 +210,62 @@ class Feeds(Session):
             "token": token,
             "channel": channel,
             "write_id": write_id,
-            **_said(entries, progress),
+            "progress": None if progress is None else progress.model_dump_json(),
+            **_Batch(entries).values(),
         }
         with self._statements() as connection:
             if connection.execute(_APPEND_AS_ATTEMPT[channel], values).first() is None:
                 raise LeaseLost(job_id)
 
     def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
-        asked = {"job_id": job_id, "channel": channel, "after": after, "limit": limit, **_AT_ONCE}
-        with self._statements() as connection:
-            found = connection.execute(_READ, asked).first()
-        if found is None:
-            raise JobNotFound(job_id[:64])
-        parts = [Chunk(**chunk) for chunk in found.chunks or ()]
-        if len(parts) > _MAX_CHUNKS:
-            return FeedPart(parts[:_MAX_CHUNKS], (), rows.status(found.status), is_end=False)
-        behind = [_entry_of(*entry) for entry in found.entries or ()]
-        is_end = found.num == len(behind) < limit
-        return FeedPart(parts, behind, rows.status(found.status), is_end=is_end)
+        found = self._read(job_id, [channel, "metrics"] if channel == "events" else [channel], after, limit)
+        said = [_entry_of(*entry) for entry in found.entries]
+        for first, block in found.blocks:
+            said += metrics_entries(Block.decode(block, first).after(after))
+        said = sorted((entry for entry in said if int(entry.id) <= found.last), key=lambda one: int(one.id))
+        last, is_end = found.last, found.is_end
+        if len(said) > limit:
+            said, last, is_end = said[:limit], int(said[limit - 1].id), False
+        return FeedPart(found.chunks, said, found.status, last, is_end)
 
-    def feed_metrics(self, job_id: str, *, after: int, limit: int) -> MeasuredPart:
-        asked = {"job_id": job_id, "after": after, "limit": limit, **_AT_ONCE}
-        with self._statements() as connection:
-            found = connection.execute(_READ_METRICS, asked).first()
-        if found is None:
-            raise JobNotFound(job_id[:64])
-        parts = [Chunk(**chunk) for chunk in found.chunks or ()]
-        if len(parts) > _MAX_CHUNKS:
-            return MeasuredPart(parts[:_MAX_CHUNKS], (), last=0, is_end=False)
-        behind = in_rows(found.times, f"[{found.data}]") if found.data else ()
-        is_end = found.num == found.num_before_bytes < limit
-        return MeasuredPart(parts, behind, last=found.last or 0, is_end=is_end)
+    def feed_metrics(self, job_id: str, *, after: int = 0) -> MetricsPart:
+        found = self._read(job_id, ["metrics"], after, _MAX_BLOCKS)
+        blocks = [(first, block) for first, block in found.blocks if first <= found.last]
+        return MetricsPart(found.chunks, blocks, found.last, found.is_end)
 
-    def long_feeds(self, *, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
+    def _read(self, job_id: str, channels: list[Channel], after: int, limit: int) -> _Found:
+        asked = {
+            "job_id": job_id,
+            "channel": channels[0],
+            "channels": channels,
+            "after": after,
+            "limit": limit,
+        }
+        with self._statements() as connection:
+            row = connection.execute(_READ, {**asked, **_AT_ONCE}).first()
+        if row is None:
+            raise JobNotFound(job_id[:64])
+        return _Found(row, max(after, row.num_logs if channels == ["logs"] else row.num_events), limit)
+
+    def long_feeds(
+        self, *, max_bytes: int, max_age: timedelta, max_metrics_bytes: int
+    ) -> Sequence[tuple[str, Channel]]:
         size = func.sum(func.octet_length(entries.c.data))
         is_old = func.min(entries.c.stored_at) < NOW - max_age
         has_ended = func.bool_and(jobs.c.status.notin_(UNFINISHED))
-        due = (
+        said = (
             select(entries.c.job_id, entries.c.channel)
             .join(jobs, jobs.c.id == entries.c.job_id)
             .group_by(entries.c.job_id, entries.c.channel)
             .having(or_(size >= max_bytes, is_old, has_ended))
-            .order_by(entries.c.job_id)
-            .limit(_MAX_DUE)
         )
+        measured = (
+            select(metrics.c.job_id, literal("metrics").label("channel"))
+            .join(jobs, jobs.c.id == metrics.c.job_id)
+            .group_by(metrics.c.job_id)
+            .having(or_(func.sum(func.octet_length(metrics.c.block)) >= max_metrics_bytes, has_ended))
+        )
+        due = union_all(said, measured).order_by("job_id").limit(_MAX_DUE)
         with self._transaction() as connection:
             return [(row.job_id, row.channel) for row in connection.execute(due)]
 
@@ -190,13 +276,22 @@ class Feeds(Session):
         with self._statements() as connection:
             return [_entry_of(*row) for row in connection.execute(_OLDEST, asked)]
 
+    def oldest_metrics(self, job_id: str, *, max_bytes: int = 2**40) -> Sequence[tuple[int, bytes]]:
+        with self._statements() as connection:
+            found = connection.execute(_OLDEST_METRICS, {"job_id": job_id, "bytes": max_bytes})
+            return [(row.first, row.block) for row in found]
+
     def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:
         name = insert(chunks).values(job_id=job_id, **asdict(chunk)).on_conflict_do_nothing()
-        held = delete(entries).where(
-            entries.c.job_id == job_id,
-            entries.c.channel == chunk.channel,
-            entries.c.number.between(chunk.first, chunk.last),
-        )
+        if chunk.channel == "metrics":
+            held = delete(metrics).where(metrics.c.first.between(chunk.first, chunk.last))
+            held = held.where(metrics.c.job_id == job_id)
+        else:
+            held = delete(entries).where(
+                entries.c.job_id == job_id,
+                entries.c.channel == chunk.channel,
+                entries.c.number.between(chunk.first, chunk.last),
+            )
         with self._transaction() as connection:  # So that a reader finds each entry in one place.
             if not rows.hold_job(connection, job_id):
                 return
@@ -220,67 +315,47 @@ class Feeds(Session):
             connection.execute(known.values(key=found.key, size=found.size, sha256=found.sha256))
 
 
-def append(
-    connection: Connection,
-    job_id: str,
-    channel: Channel,
-    said: Sequence[Entry],
-    progress: Progress | None = None,
-) -> None:
-    """Number the entries and store them, with the progress if given."""
-    values = {"job_id": job_id, "channel": channel, **_said(said, progress)}
-    connection.execute(_APPEND[channel], values)
+def append(connection: Connection, job_id: str, channel: Channel, said: Sequence[Entry]) -> None:
+    """Number the entries and store them."""
+    append_all(connection, job_id, channel, [_Batch(said).values()])
 
 
 @contextmanager
-def prepared(said: Iterable[Entry]) -> Generator[Iterator[_Batch]]:
+def prepared(said: Iterable[Entry]) -> Generator[Iterator[dict[str, Any]]]:
     """Any number of entries, read now, and ready to be appended in batches: a file holds them, so that the
     transaction waits for nobody. Raises StorageUnavailable where this machine has no room for it."""
     with TemporaryFile(prefix="gaitway-feed-") as file:
         try:
             for batch in _batches(said):
-                file.write(to_json(batch) + b"\n")
+                body = msgspec.msgpack.encode(batch.values())
+                file.write(len(body).to_bytes(8) + body)
             file.seek(0)
         except OSError as error:
             raise StorageUnavailable(f"The API has no room for the feed: {error.strerror}.") from error
-        yield map(from_json, file)
+        sizes = iter(lambda: file.read(8), b"")
+        yield (msgspec.msgpack.decode(file.read(int.from_bytes(size))) for size in sizes)
+
+
+def append_all(
+    connection: Connection, job_id: str, channel: Channel, batches: Iterable[dict[str, Any]]
+) -> None:
+    """Append what `prepared` has made ready."""
+    for batch in batches:
+        connection.execute(
+            _APPEND[channel], {"job_id": job_id, "channel": channel, "progress": None, **batch}
+        )
 
 
 def _batches(said: Iterable[Entry]) -> Iterator[_Batch]:
-    """Kinds, times and data of entries, as many as one statement stores."""
-    kinds, times, data, size = list[str](), list[str](), list[str](), 0
+    """The entries in batches of which each is one statement."""
+    batch = _Batch()
     for entry in said:
-        text = _text(entry)
-        if kinds and (len(kinds) == _BATCH or size + len(text) > _BATCH_BYTES):
-            yield kinds, times, data
-            kinds, times, data, size = [], [], [], 0
-        kinds.append(entry.kind)
-        times.append(entry.time.isoformat())
-        data.append(text)
-        size += len(text)
-    if kinds:
-        yield kinds, times, data
-
-
-def append_all(connection: Connection, job_id: str, channel: Channel, batches: Iterable[_Batch]) -> None:
-    """Append what `prepared` has made ready."""
-    for kinds, times, data in batches:
-        said = {"count": len(kinds), "kinds": kinds, "times": times, "data": data}
-        connection.execute(_APPEND[channel], {"job_id": job_id, "channel": channel, "progress": None, **said})
-
-
-def _said(said: Sequence[Entry], progress: Progress | None) -> dict[str, Any]:
-    return {
-        "progress": None if progress is None else progress.model_dump_json(),
-        "count": len(said),
-        "kinds": [entry.kind for entry in said],
-        "times": [entry.time for entry in said],
-        "data": [_text(entry) for entry in said],
-    }
-
-
-def _text(entry: Entry) -> str:
-    return to_json(entry.data, inf_nan_mode="null").decode()
+        batch.add(entry)
+        if batch.count == _BATCH or batch.size > _BATCH_BYTES:
+            yield batch
+            batch = _Batch()
+    if batch.count:
+        yield batch
 
 
 def _entry_of(number: int, kind: str, time: Any, data: str) -> Entry:

@@ -5,6 +5,7 @@ attempts    one row per attempt at a job
 artifacts   the files of a job that readers may fetch, each with its key and hash
 chunks      finished parts of a job's feeds, which lie in the object store
 entries     the newest part of each feed, until it is moved into a chunk
+metrics     the newest metrics of each job in blocks, with numbers among those of its events; likewise
 dispatches  messages for RQ that are not sent yet; written in the transaction that makes them necessary
 deletions   jobs that were deleted, until the objects of each are gone
 models      users' own models, by the hash of their bytes
@@ -26,6 +27,7 @@ from sqlalchemy import (
     ForeignKey,
     Index,
     Integer,
+    LargeBinary,
     MetaData,
     String,
     Table,
@@ -150,6 +152,16 @@ entries = Table(
     _moment("time", nullable=False),
     Column("data", Text, nullable=False),
     Column("stored_at", TIMESTAMP(timezone=True), nullable=False, server_default=NOW),
+)
+
+# A block has the bytes of a `core.jobs.metrics.Block`, whose rows have the numbers `first` to `last`.
+metrics = Table(
+    "metrics",
+    metadata,
+    _of_job(),
+    Column("first", BigInteger, primary_key=True),
+    Column("last", BigInteger, nullable=False),
+    Column("block", LargeBinary, nullable=False),
 )
 
 dispatches = Table(

@@ -64,7 +64,7 @@ def main() -> None:
         state = hashlib.sha256(f"{state} {step}".encode()).hexdigest()
         print(f"attempt {task['attempt']} step {step}", flush=True)
         say(type="metrics", step=step, values={"training/state": float(int(state[:8], 16))})
-        say(type="progress", step=step, total=total, steps_per_second=1 / step_s, eta_s=0.0, metrics={})
+        say(type="progress", step=step, total=total, steps_per_second=1 / step_s, eta_s=0.0)
         if step % CHECKPOINT_EVERY == 0:
             keep(f"checkpoint-{step:012d}.msgpack", "checkpoint", checkpoint_of(step, state), step)
             kept = step

@@ -6,9 +6,13 @@ from gaitway.cli.progress import JobProgress, duration
 from gaitway.views import Event
 
 
-def progress(step: int, **metrics: float) -> Event:
-    data = {"step": step, "total": 1000, "steps_per_second": 1234.5, "eta_s": 65.0, "metrics": metrics}
+def progress(step: int) -> Event:
+    data = {"step": step, "total": 1000, "steps_per_second": 1234.5, "eta_s": 65.0}
     return Event(kind="progress", data=data)
+
+
+def measured(**values: float | None) -> Event:
+    return Event(kind="metrics", data={"step": 500, "values": values})
 
 
 def shown(*events: Event, every_s: float = 0.0) -> list[str]:
@@ -22,19 +26,22 @@ def shown(*events: Event, every_s: float = 0.0) -> list[str]:
 def test_without_a_terminal_each_piece_of_news_is_one_plain_line() -> None:
     lines = shown(
         Event(kind="status", data={"status": "running"}),
-        progress(500, **{"training/episode_reward": 12.34, "training/forward_speed": 0.5}),
-        Event(kind="metrics", data={"step": 500, "values": {"eval/episode_reward": 99.0, "eval/x": None}}),
+        progress(500),
+        measured(**{"training/episode_reward": 12.34, "training/forward_speed": 0.5}),
+        measured(**{"eval/episode_reward": 99.0, "eval/x": None}),
     )
     # Not wrapped at the console's 40 columns; an evaluation goes before the training's own numbers.
     assert lines == [
         "running",
+        "running · 500/1,000 steps · 1,234 steps/s · ETA 1:05",
         "running · 500/1,000 steps · 1,234 steps/s · return 12.3 · 0.50 m/s · ETA 1:05",
         "running · 500/1,000 steps · 1,234 steps/s · return 99.0 · 0.50 m/s · ETA 1:05",
     ]
 
 
 def test_a_budget_of_episodes_is_told_in_episodes() -> None:
-    [line] = shown(progress(500, **{"training/episodes": 50.0, "training/num_episodes": 100.0}))
+    episodes = {"training/episodes": 50.0, "training/num_episodes": 100.0}
+    *_, line = shown(progress(500), measured(**episodes))
     assert line.startswith("queued · 50/100 episodes · 500/1,000 steps")
 
 
@@ -67,9 +74,10 @@ def test_80_columns_have_room_for_the_bar_the_status_and_the_time_left() -> None
     text = io.StringIO()
     numbers = {"eval/episode_reward": 1234.5, "eval/forward_speed": 1.0}
     big = {"step": 1_500_000_000, "total": 3_000_000_000, "steps_per_second": 123456.0, "eta_s": 9000.0}
-    news = Event(kind="progress", data={**big, "metrics": numbers, "phase": "evaluating"})
+    news = Event(kind="progress", data={**big, "phase": "evaluating"})
     with JobProgress(Console(file=text, width=80, force_terminal=True, color_system=None)) as shows:
         shows.update(Event(kind="status", data={"status": "running"}))
+        shows.update(measured(**numbers))
         shows.update(news)
     lines = text.getvalue().splitlines()
     bars = [line for line in lines if "running · evaluating" in line]

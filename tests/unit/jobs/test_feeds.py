@@ -9,7 +9,6 @@ from typing import Any
 
 import psycopg
 import pytest
-from sqlalchemy import event
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.store import PostgresJobStore
@@ -23,6 +22,7 @@ from core.jobs.store import Channel, Entry
 from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from tests.feeds import read_feed
 from tests.unit.jobs.making import NOON
 from tests.unit.jobs.playing import PlayedWorker
 
@@ -43,19 +43,15 @@ class Feed:
         self.store.record(self.id, self.claim.token, "events", entries, write_id=write_id)
 
     def read(self, channel: Channel = "logs", **asked: Any) -> Sequence[Entry]:
-        return feeds.read(self.id, channel, store=self.store, objects=self.objects, **asked)
+        return read_feed(self.id, channel, store=self.store, objects=self.objects, **asked)
 
     def texts(self, **asked: Any) -> list[str]:
         return [entry.data["text"] for entry in self.read(**asked)]
 
-    def metrics(self, after: int, limit: int) -> list[tuple[float, int, Any]]:
-        """All that `read_metrics` gives, page by page: times, steps and values."""
-        found, is_end = list[tuple[float, int, Any]](), False
-        while not is_end:
-            page = feeds.read_metrics(self.id, after, limit, store=self.store, objects=self.objects)
-            found += [(one.time, one.said.step, one.said.values) for one in page.measured]
-            after, is_end = page.last, page.is_end
-        return found
+    def metrics(self, after: int = 0) -> list[tuple[int, float, int, Any]]:
+        """All that `read_metrics` gives: numbers, times, steps and values."""
+        parts = feeds.read_metrics(self.id, store=self.store, objects=self.objects, after=after)
+        return [(row.number, row.time, row.step, row.values) for block, _ in parts for row in block.rows()]
 
     def compact(self) -> int:
         return feeds.compact(store=self.store, objects=self.objects)
@@ -67,8 +63,9 @@ class Feed:
 
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every entry is due, three to a chunk."""
+    """Every entry is due, three to a chunk, and every block of metrics is a chunk."""
     monkeypatch.setattr(feeds, "MAX_BYTES", 1)
+    monkeypatch.setattr(feeds, "MAX_METRICS_BYTES", 1)
     monkeypatch.setattr(feeds, "_MAX_ENTRIES", 3)
 
 
@@ -112,41 +109,54 @@ class TestReading:
         assert feed.texts() == [str(i) for i in range(40)]
         assert feed.texts(after=37) == ["37", "38", "39"]
 
-    def test_one_kind_is_found_among_many_others_also_in_chunks(self, feed: Feed) -> None:
-        entries = [
-            Entry(kind="metrics" if i % 10 == 9 else "note", time=NOON, data={"i": i}) for i in range(50)
-        ]
-        feed.append(*entries)
-        for _ in range(3):  # Behind 9 entries, of which two tell of the job's status.
-            first = feed.read("events", kind="metrics", limit=3)
-            assert [entry.data["i"] for entry in first] == [9, 19, 29]
-            rest = feed.read("events", kind="metrics", after=int(first[-1].id), limit=3)
-            assert [entry.data["i"] for entry in rest] == [39, 49]
-            feed.compact()
-
-    def test_metrics_read_fast_are_those_that_entries_say(self, feed: Feed) -> None:
+    def test_metrics_and_other_events_are_read_in_their_order_wherever_they_lie(self, feed: Feed) -> None:
         at = datetime(2026, 11, 26, 15, 38, 53, 123457, tzinfo=UTC)
-        measured = {"step": 2**53 - 1, "values": {"a/\u2028 é": 0.1, "whole": 3, "b": None}}
+        measured = {"step": 2**53 - 1, "values": {"a/\u2028 é": 0.1, "whole": 3.0, "b": None}}
         entries = [
             Entry(kind="metrics", time=at, data=measured) if i % 3 else Entry(kind="note", time=NOON)
             for i in range(40)
         ]
-        feed.append(*entries)
-        for _ in range(3):
+        for part in range(8):
+            feed.append(*entries[5 * part : 5 * part + 5], write_id=str(part))
+        said = feed.read("events")
+        assert [entry.model_copy(update={"id": ""}) for entry in said[2:]] == entries
+        rows = [
+            (int(one.id), one.time.timestamp(), one.data["step"], one.data["values"])
+            for one in said
+            if one.kind == "metrics"
+        ]
+        is_left = True
+        while is_left:
             for after in (0, 1, 7, 30, 41, 42, 50):
-                said = [one for one in feed.read("events", after=after) if one.kind == "metrics"]
-                expected = [(one.time.timestamp(), one.data["step"], one.data["values"]) for one in said]
-                for limit in (1, 5, 100):
-                    assert feed.metrics(after, limit) == expected
-            feed.compact()
+                assert feed.metrics(after) == [row for row in rows if row[0] > after]
+                for limit in (1, 2, 5, 100):
+                    assert feed.read("events", after=after, limit=limit) == said[after : after + limit]
+                    assert feed.read("events", after=after, at_once=limit) == said[after:]
+            is_left = feed.compact() > 0
+        assert (len(feed.chunks("events")), len(feed.chunks("metrics"))) == (6, 8)
+
+    def test_a_note_stands_for_a_chunk_of_metrics_that_is_lost(self, feed: Feed) -> None:
+        row, note = (
+            Entry(kind="metrics", time=NOON, data={"step": 1, "values": {"a": 1.0}}),
+            Entry(kind="note", time=NOON),
+        )
+        feed.append(row, note, row, write_id="1")
+        feed.append(row, write_id="2")
         while feed.compact():
             pass
-        assert len(feed.metrics(0, 100)) == 26
+        [lost, _] = [one for one in feed.store.chunks([feed.id])[feed.id] if one.channel == "metrics"]
+        feed.objects.delete_prefix(lost.key)
+        for _ in range(2):
+            assert [entry.kind for entry in feed.read("events")[2:]] == ["note", "note", "metrics"]
+            text = "The metrics from entry 3 to entry 5 of this feed were lost from the object store."
+            assert feed.read("events", after=4)[0].data == {"text": text}
+            assert [number for number, *_ in feed.metrics()] == [6]
+            feeds.close_gap(feed.id, lost, store=feed.store, objects=feed.objects)
 
     def test_an_empty_feed_is_empty_and_an_unknown_jobs_is_not_found(self, feed: Feed) -> None:
         assert feed.read() == []
         with pytest.raises(JobNotFound):
-            feeds.read(new_job_id(NOON), "logs", store=feed.store, objects=feed.objects)
+            read_feed(new_job_id(NOON), "logs", store=feed.store, objects=feed.objects)
 
     def test_a_note_stands_for_a_chunk_whose_object_is_lost(self, feed: Feed) -> None:
         feed.say(*"abcd")
@@ -154,18 +164,6 @@ class TestReading:
         feed.objects.delete_prefix(feed.chunks()[0])
         assert feed.texts() == ["Entries 1 to 3 of this feed were lost from the object store.", "d"]
         assert feed.texts(after=3) == ["d"]
-
-
-def test_a_kind_is_sought_with_a_look_at_a_thousand_entries_each(job_store: PostgresJobStore) -> None:
-    # The only two of the kind lie before entries 1500 and 3000: that is four looks, and not one for each.
-    feed = Feed(job_store, MemoryObjectStore())
-    for part in range(2):
-        others = [Entry(kind="note", time=NOON) for _ in range(1499)]
-        feed.append(*others, Entry(kind="metrics", time=NOON), write_id=str(part))
-    looks: list[str] = []
-    event.listen(job_store._engine, "begin", lambda connection: looks.append("look"))
-    assert len(feed.read("events", kind="metrics", limit=2)) == 2
-    assert len(looks) <= 4
 
 
 @pytest.mark.usefixtures("at_once")

@@ -25,7 +25,6 @@ from core.errors import (
     Rejected,
     StorageUnavailable,
 )
-from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.ending import cancel, delete, end_deletions
 from core.jobs.job import Artifact, Job
@@ -37,6 +36,7 @@ from core.jobs.submission import Acknowledgements, submit
 from core.reasons import Reason
 from core.storage import keys
 from core.user_models.record import ModelRecord
+from tests.feeds import read_feed
 from tests.unit.jobs.making import NOON, make_job
 
 LEASE = timedelta(seconds=10)
@@ -636,7 +636,7 @@ def test_what_a_deletion_leaves_in_an_outage_is_shown_to_nobody_and_removed_late
     with pytest.raises(JobNotFound):
         service.status(job)
     with pytest.raises(JobNotFound):
-        feeds.read(job.id, "events", store=service.store, objects=whole)
+        read_feed(job.id, "events", store=service.store, objects=whole)
     with pytest.raises(Rejected, match="no job"):
         service.submit(resume_from={"job": job.id})
     with pytest.raises(StorageUnavailable):

@@ -79,21 +79,6 @@ def test_an_object_that_no_record_names_is_removed_after_a_day(
     assert sweep_all(jobs, objects) == []
 
 
-def test_columns_stay_while_the_record_names_their_chunks(
-    jobs: JobStore, objects: AgingObjects, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(feeds, "MAX_BYTES", 1)
-    monkeypatch.setattr(feeds, "_MAX_ENTRIES", 1)
-    claim = worker.begin(worker.submit())
-    worker.say(claim, "events", *map(str, range(6)))  # Behind two statuses: eight chunks of one entry.
-    while feeds.compact(store=jobs, objects=objects):
-        pass
-    [kept] = objects.list(f"{keys.job(claim.job_id)}columns/")
-    objects.put(keys.columns(claim.job_id, 1, "of other chunks"), b"")
-    sweep_all(jobs, objects)
-    assert list(objects.list(f"{keys.job(claim.job_id)}columns/")) == [kept]
-
-
 def test_objects_of_a_job_that_the_record_does_not_know_are_left_and_counted(
     jobs: JobStore, objects: AgingObjects, worker: PlayedWorker
 ) -> None:

@@ -3,7 +3,7 @@
 import json
 import tempfile
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,7 +14,7 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.jobs import feeds
 from core.jobs.attempts import Claim
 from core.jobs.job import utc_now
-from core.jobs.measured import Measured, StepValues
+from core.jobs.metrics import Block, Measurement
 from core.jobs.store import Entry
 from core.reasons import Reason
 from core.retry import CalledOff
@@ -87,8 +87,11 @@ def test_without_rows_there_is_no_file_and_a_drain_ends_the_writing(
         store_metrics(claim, file, Path(file.name), 1, lambda: True)
 
 
-def row_of(step: int) -> Measured:
-    return Measured(float(step), StepValues(step, dict.fromkeys(NAMES, float(step))))
+def block_of(steps: Sequence[int], first: int) -> Block:
+    return Block.of(
+        Measurement(number, step, float(step), dict.fromkeys(NAMES, float(step)))
+        for number, step in enumerate(steps, first)
+    )
 
 
 @pytest.mark.extra
@@ -105,13 +108,11 @@ def test_the_memory_that_the_file_takes_does_not_grow_with_the_rows(
     for number in (2_000, 10_000):
         steps = [*range(number), *range(number - 600, number)]
 
-        def page(job_id: str, after: int, limit: int, steps: Any = steps, **_: Any) -> feeds.MetricsPage:
-            part = steps[after : after + 1000]
-            return feeds.MetricsPage(
-                [row_of(step) for step in part], after + 1000, after + 1000 >= len(steps)
-            )
+        def parts(job_id: str, *, steps: Sequence[int] = steps, **_: Any) -> Iterator[tuple[Block, int]]:
+            for at in range(0, len(steps), 1000):
+                yield block_of(steps[at : at + 1000], at + 1), at + 1000
 
-        monkeypatch.setattr(feeds, "read_metrics", page)
+        monkeypatch.setattr(feeds, "read_metrics", parts)
         tracemalloc.start()
         assert store_metrics(claim, file, Path(file.name), 1, bool)
         peaks.append(tracemalloc.get_traced_memory()[1])

@@ -12,13 +12,13 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsUnavailable
-from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import Progress, utc_now
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import Channel, Entry
 from core.jobs.submission import submit
 from tests.faults.bench import wait_until
+from tests.feeds import read_feed
 from worker.protocol import Advanced, FileReady, Hello, Measured, Noted, PhaseBegan, PhaseEnded, Started
 from worker.supervision.outbox import Outbox
 
@@ -64,7 +64,7 @@ def outbox(claim: Claim, tmp_path: Path) -> Outbox:
 
 
 def read(claim: Claim, channel: Channel) -> list[Entry]:
-    found = feeds.read(claim.job_id, channel, store=claim.store, objects=claim.objects, limit=10_000)
+    found = read_feed(claim.job_id, channel, store=claim.store, objects=claim.objects)
     return [entry for entry in found if entry.kind != "status"]
 
 
