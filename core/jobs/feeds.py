@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
+from itertools import islice
 
 import structlog
 
@@ -63,20 +64,23 @@ def read_pages(
 def read_page(
     job_id: str, channel: Channel, after: int, limit: int, *, store: JobStore, objects: ObjectStore
 ) -> FeedPage:
-    """At least `limit` entries after number `after`, if there are that many.
+    """At least `limit` entries after number `after`, if there are that many. limit: `_MAX_ENTRIES` at most.
 
     A `note` replaces a part that the object store has lost or cannot give whole, and says so.
     Raises JobNotFound, RecordsUnavailable, StorageUnavailable.
     """
     part = store.feed(job_id, channel, after=after, limit=limit)
-    found = list(part.entries)
+    found, last, is_end = list(part.entries), part.last, part.is_end
     for number, chunk in enumerate(part.chunks, 1):
-        found += [entry for entry in _entries_of(chunk, job_id, store, objects) if int(entry.id) > after]
+        taken = list(islice(_entries_of(chunk, after, job_id, store, objects), _MAX_ENTRIES))
+        found += taken
+        if len(taken) == _MAX_ENTRIES:  # It may have more.
+            last, is_end = min(last, int(taken[-1].id)), False
         if number < len(part.chunks):  # What comes before the next chunk is known.
-            page = _page(found, part.status, min(part.last, part.chunks[number].first - 1), is_end=False)
+            page = _page(found, part.status, min(last, part.chunks[number].first - 1), is_end=False)
             if len(page.entries) >= limit:
                 return page
-    return _page(found, part.status, part.last, is_end=part.is_end)
+    return _page(found, part.status, last, is_end=is_end)
 
 
 def _page(found: Iterable[Entry], status: JobStatus, last: int, *, is_end: bool) -> FeedPage:
@@ -122,13 +126,16 @@ def read_curves(
     return curves, last
 
 
-def _entries_of(chunk: Chunk, job_id: str, store: JobStore, objects: ObjectStore) -> Iterable[Entry]:
+def _entries_of(
+    chunk: Chunk, after: int, job_id: str, store: JobStore, objects: ObjectStore
+) -> Iterable[Entry]:
+    """Those after number `after`."""
     body = _body_of(chunk, job_id, store, objects)
     if isinstance(body, str):
         return [_gap(chunk, body, store)]
     if not _has_lines(chunk):
-        return metrics_entries(Block.decode(body, chunk.first))
-    return map(Entry.model_validate_json, body.splitlines())
+        return metrics_entries(Block.decode(body, chunk.first).after(after))
+    return (entry for entry in map(Entry.model_validate_json, body.splitlines()) if int(entry.id) > after)
 
 
 def _has_lines(chunk: Chunk) -> bool:
