@@ -119,9 +119,9 @@ def over_budget() -> list[str]:
 
 
 def _is_whole(config: pytest.Config) -> bool:
-    """Whether this was the default suite: all of it, and no more."""
+    """Whether this was the default suite: all of it, no more, and nothing that counts its lines."""
     whole = config.args == config.getini("testpaths") and not config.option.keyword
-    return whole and "not extra" in config.option.markexpr
+    return whole and "not extra" in config.option.markexpr and not config.option.cov_source
 
 
 def _now() -> tuple[float, float]:
