@@ -12,6 +12,7 @@ from zipfile import BadZipFile, ZipFile
 import httpx
 
 from gaitway.errors import WrongAddress
+from gaitway.local import running
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 ID_LENGTH = 23
@@ -27,8 +28,11 @@ OnBytes = Callable[[int, int], None]
 
 
 def address(base_url: str | None) -> str:
-    """The service's address: the given one, that of GAITWAY_URL, or this machine's. Raises WrongAddress."""
-    url = base_url or os.environ.get("GAITWAY_URL") or DEFAULT_URL
+    """The service's address: the given one, that of GAITWAY_URL, or this machine's. Raises WrongAddress.
+
+    This machine's is that of the newest `gaitway up`, otherwise the port at which services are by default.
+    """
+    url = base_url or os.environ.get("GAITWAY_URL") or running() or DEFAULT_URL
     if not url.lower().startswith(("http://", "https://")):
         raise WrongAddress(url)
     return url.rstrip("/")

@@ -82,7 +82,7 @@ class Unreachable(GaitwayError):
 
     def __init__(self, url: str, why: str) -> None:
         super().__init__(
-            f"No Gaitway service answers at {url} ({why}); start one with `./run up` or `gaitway up`."
+            f"No Gaitway service answers at {url} ({why}); `gaitway up` starts one, in a clone `./run up`."
         )
         self.url = url
 

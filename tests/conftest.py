@@ -53,6 +53,14 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         forget_old_programs()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_data_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Services of the tests leave their addresses apart from those that this machine's user has started."""
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data_home")))
+        yield
+
+
 @pytest.fixture
 def compiled_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     """What this test starts is compiled as the test is, and not as users have it."""

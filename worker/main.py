@@ -28,6 +28,7 @@ from core.adapters.wiring import connect_redis, job_store, object_store
 from core.configuration import read, stopping_if_misconfigured
 from core.environments.catalog import find
 from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
+from core.installation import to_install
 from core.jobs.job import utc_now
 from core.jobs.queue import FIRST, queue_names
 from core.jobs.store import JobStore
@@ -326,7 +327,7 @@ def main() -> None:
     settings = read(WorkerSettings)
     device = device_of(settings.device)
     if settings.device == "auto" and device == "cpu" and visible_gpus():
-        log.warning("gpu_not_used", remedy="JAX cannot use it; in the clone: uv sync --inexact --extra cuda.")
+        log.warning("gpu_not_used", remedy=f"JAX cannot use it: {to_install('cuda')}.")
     check_folder(settings.data_dir)
     check_stores(settings)
     # Without a pool: a connection must not be shared with what is forked.

@@ -12,6 +12,7 @@ from core.documents import Stored
 from core.environments import catalog
 from core.environments.info import Device
 from core.errors import GaitwayError
+from core.installation import to_install
 from core.jobs.job import Job
 from core.jobs.queue import queue_name
 from core.jobs.resolved import resolve_job
@@ -99,7 +100,7 @@ def packages_here() -> tuple[str, ...]:
 def how_to_install(package: str) -> str:
     """The command that installs an optional package, or only its name. package: its import name."""
     extra = _EXTRAS.get(package)
-    return f"the Python package {package}" if extra is None else f"uv sync --inexact --extra {extra}"
+    return f"the Python package {package}" if extra is None else to_install(extra)
 
 
 def packages_for(job: Job) -> Mapping[str, str]:

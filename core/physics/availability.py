@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from typing import Literal, get_args
 
 from core.errors import JobFailed, Problem, Rejected
+from core.installation import to_install
 from core.reasons import Reason
 
 EngineName = Literal["native", "mjx", "warp", "compiled"]
@@ -66,8 +67,8 @@ def check_installed(engine: EngineName) -> None:
     if not is_installed(engine):
         raise JobFailed(
             Reason.NO_DEVICE,
-            f"The job asks for the engine {engine!r}, which this worker does not have. Install it in its "
-            f"clone with `uv sync --inexact --extra {engine}`, or ask for 'auto', 'native' or 'mjx'.",
+            f"The job asks for the engine {engine!r}, which this worker does not have. Install it "
+            f"there with `{to_install(engine)}`, or ask for 'auto', 'native' or 'mjx'.",
         )
 
 

@@ -42,7 +42,10 @@ def main(
     context: typer.Context,
     url: Annotated[
         str | None,
-        typer.Option(envvar="GAITWAY_URL", help="Address of the service; by default http://127.0.0.1:8000."),
+        typer.Option(
+            envvar="GAITWAY_URL",
+            help="Address of the service; by default that of `gaitway up`, or port 8000.",
+        ),
     ] = None,
     _shown: Annotated[
         bool,

@@ -1,4 +1,4 @@
-"""`./run demo`: trains an ant through the whole service, and fetches its video."""
+"""`./run demo`, `gaitway demo`: trains an ant through the whole service, and fetches its video."""
 
 import argparse
 import contextlib
@@ -19,6 +19,7 @@ from gaitway.service.embedded.interruption import Interrupted
 from gaitway.service.embedded.processes import ServerFailed
 from gaitway.service.embedded.stack import Stack
 from gaitway.service.embedded.up import port_number, positive, report
+from gaitway.service.installed import PROGRAM
 
 # An ant that keeps on its legs after so short a training: docs/environments/ant.md#an-ant-that-does-not-fall.
 _ANT_OPTIONS = {"reset_noise_scale": 0.02, "ctrl_cost_weight": 1.0}
@@ -135,12 +136,14 @@ def _print_what_is_kept(options: DemoOptions, job: JobView | None) -> None:
     if job is None:
         return
     with contextlib.suppress(BrokenPipeError):
-        command = shlex.join(["./run", "up", "--data", str(options.data_dir)])
+        command = shlex.join([PROGRAM, "up", "--data", str(options.data_dir)])
         print(f"The service has ended. To see job {job.id} on its page:  {command}", flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="./run demo", description="Train an ant, watch it, keep its video.")
+    parser = argparse.ArgumentParser(
+        prog=f"{PROGRAM} demo", description="Train an ant, watch it, keep its video."
+    )
     parser.add_argument(
         "--out", type=Path, default=Path("gaitway-demo"), metavar="DIR", help="for the results"
     )

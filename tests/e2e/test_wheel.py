@@ -1,40 +1,63 @@
-"""The wheel puts the package `gaitway` into a user's environment, and nothing that the service needs."""
+"""The wheel puts the package `gaitway` into a user's environment, and no other name."""
 
+import re
+import subprocess
+import sys
 import tomllib
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 from tests.e2e.installed import ROOT, Installed
 
+# What works only in a clone, or in the images.
+_CLONES_OWN = {
+    "api/vendoring.py",
+    *(f"gaitway/service/{name}.py" for name in ("compose", "settings_page", "site")),
+}
 
-def test_the_wheel_holds_the_client_alone(installed: Installed) -> None:
+
+def test_the_wheel_holds_the_service_in_a_folder_of_its_own(installed: Installed) -> None:
+    with zipfile.ZipFile(installed.wheel) as archive:
+        held = {name for name in archive.namelist() if ".dist-info/" not in name}
+    packages = ("api", "core", "gaitway", "worker")
+    listed = subprocess.check_output(
+        ["git", "-C", str(ROOT), "ls-files", "-co", "--exclude-standard", *packages]
+    )
+    files = {name for name in listed.decode().splitlines() if (ROOT / name).exists()} - _CLONES_OWN
+    assert held == {name if name.startswith("gaitway/") else f"gaitway/_service/{name}" for name in files}
+
+
+def test_a_users_code_needs_no_module_of_the_service(installed: Installed) -> None:
     with zipfile.ZipFile(installed.wheel) as archive:
         files = [Path(name).parts for name in archive.namelist()]
-    assert {parts[0] for parts in files if not parts[0].endswith(".dist-info")} == {"gaitway"}
     held = {parts[1].removesuffix(".py") for parts in files if parts[0] == "gaitway"}
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     [checked] = [contract for contract in contracts if contract["name"].startswith("The wheel's modules")]
     # Of these, import-linter knows that they need no other code of this repository.
-    assert {f"gaitway.{name}" for name in held - {"__init__"}} == set(checked["source_modules"])
+    others = held - {"__init__", "_service", "service"}
+    assert {f"gaitway.{name}" for name in others} == set(checked["source_modules"])
 
 
 def test_the_wheel_brings_no_top_level_package_but_its_own(installed: Installed, tmp_path: Path) -> None:
     program = (
         "import importlib.util, gaitway\n"
         "for name in gaitway.__all__: getattr(gaitway, name)\n"
-        "names = ('api', 'core', 'worker', 'gaitway.service', 'brax', 'flax', 'mujoco')\n"
+        "names = ('api', 'core', 'worker', 'brax', 'flax', 'mujoco')\n"
         "print([name for name in names if importlib.util.find_spec(name)])"
     )
     done = installed.python("-c", program, cwd=tmp_path)
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
-def test_the_cli_shows_commands_of_the_service_only_where_it_is(installed: Installed, tmp_path: Path) -> None:
-    program = "from gaitway.cli.main import app; app()"
-    (tmp_path / "core.py").write_text("raise AssertionError('this is a module of the user')")
-    shown = installed.python("-c", program, "--help", cwd=tmp_path)
+def test_the_cli_shows_commands_of_the_service_only_where_it_works(
+    installed: Installed, tmp_path: Path
+) -> None:
+    shown = installed.python("-c", "from gaitway.cli import main; main()", "--help", cwd=tmp_path)
     assert shown.returncode == 0, shown.stderr
     commands = {line.split()[0] for line in shown.stdout.partition("Commands:")[2].splitlines() if line}
     assert {"submit", "watch", "models", "import"} <= commands
@@ -42,15 +65,46 @@ def test_the_cli_shows_commands_of_the_service_only_where_it_is(installed: Insta
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [["up", "--port", "8000"], ["worker", "--help"]],
-    ids=lambda arguments: arguments[0],
+    ("extra", "arguments"),
+    [("up", ["up", "--port", "8000"]), ("up", ["demo", "--seed", "1"]), ("worker", ["worker"])],
+    ids=lambda part: part[0],
 )
-def test_a_command_of_the_service_says_where_the_service_is(
-    installed: Installed, tmp_path: Path, arguments: list[str]
+def test_a_command_of_the_service_says_how_to_install_it(
+    installed: Installed, tmp_path: Path, extra: str, arguments: list[str]
 ) -> None:
-    done = installed.python("-c", "from gaitway.cli.main import app; app()", *arguments, cwd=tmp_path)
+    (tmp_path / "core.py").write_text("raise AssertionError('this is a module of the user')")
+    done = installed.python("-P", "-c", "from gaitway.cli import main; main()", *arguments, cwd=tmp_path)
     assert done.returncode == 2
-    assert f"`gaitway {arguments[0]}` is a command of the service" in done.stderr
-    assert "git clone" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert f"`pip install 'gaitway[{extra}]'` installs it." in done.stderr
+
+
+def test_the_program_without_its_extra_says_how_to_install_it(tmp_path: Path) -> None:
+    program = "import sys; sys.modules['typer'] = None\nfrom gaitway.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, "up"], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("gaitway: Only the Python client is installed: `pip install 'gaitway[up]'`")
+    assert done.stderr.count("\n") == 1
+
+
+def test_the_lock_is_made_from_the_ranges_that_the_wheel_asks_for() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = {("", *_range(text)) for text in project["dependencies"]}
+    for extra, texts in project["optional-dependencies"].items():
+        asked |= {(extra, *_range(text)) for text in texts}
+    lock = tomllib.loads((ROOT / "uv.lock").read_text())
+    [own] = [package for package in lock["package"] if package["name"] == "gaitway"]
+    assert {_locked(required) for required in own["metadata"]["requires-dist"]} == asked
+
+
+def _range(text: str) -> tuple[str, frozenset[str], SpecifierSet]:
+    required = Requirement(text)
+    return required.name.lower(), frozenset(required.extras), required.specifier
+
+
+def _locked(required: dict[str, Any]) -> tuple[str, str, frozenset[str], SpecifierSet]:
+    extra = re.search(r"extra == '([\w-]+)'", required.get("marker", ""))
+    specifier = SpecifierSet(required.get("specifier", ""))
+    return extra[1] if extra else "", required["name"], frozenset(required.get("extras", ())), specifier

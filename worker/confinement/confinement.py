@@ -4,6 +4,7 @@ Every layer holds, or the process ends before it has read a byte.
 """
 
 import os
+import site
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -64,6 +65,7 @@ def _keep_to(folder: Path) -> bool:
     if not landlock.version():
         return False
     libraries = {
+        site.getusersitepackages() if site.ENABLE_USER_SITE else "",
         sys.prefix,
         sys.base_prefix,
         sys.exec_prefix,

@@ -12,7 +12,9 @@ from pathlib import Path
 from worker.confinement import landlock, privileges
 
 _CODE = Path(__file__).resolve().parents[2]
-_IS_CHECKOUT = _CODE.name not in ("site-packages", "dist-packages")
+# Whatever of sys.path lies around this is not ours: a checkout may hold an `.env`, and the folder around
+# `site-packages` may be the user's home.
+_AROUND_OURS = _CODE.parents[2] if _CODE.name == "_service" else _CODE
 _PACKAGES = ("core", "worker")
 # Programs, libraries and drivers, and what they ask about the machine. Of /etc, what is no secret.
 _SYSTEM = (
@@ -75,8 +77,8 @@ def _readable(folder: Path) -> Iterator[Path]:
     yield from (Path(path) for path in (sys.prefix, sys.base_prefix, sys.exec_prefix) if path != "/")
     for path in {*sys.path, *named} - {""}:
         found = Path(path).resolve()
-        # The folder of a checkout may hold an `.env`, and one around our own the data.
-        if not any(one.is_relative_to(found) for one in (folder, _CODE if _IS_CHECKOUT else _CODE.parent)):
+        # One around the folder may hold all data.
+        if not any(one.is_relative_to(found) for one in (folder, _AROUND_OURS)):
             yield found
 
 

