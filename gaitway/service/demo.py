@@ -136,7 +136,7 @@ def _print_what_is_kept(options: DemoOptions, job: JobView | None) -> None:
     if job is None:
         return
     with contextlib.suppress(BrokenPipeError):
-        command = shlex.join([PROGRAM, "up", "--data", str(options.data_dir)])
+        command = f"{PROGRAM} up --data {shlex.quote(str(options.data_dir))}"
         print(f"The service has ended. To see job {job.id} on its page:  {command}", flush=True)
 
 

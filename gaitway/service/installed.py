@@ -12,8 +12,11 @@ from gaitway.local import user_data_folder
 
 CODE = Path(__file__).parents[1] / "_service"
 IS_WHEEL = CODE.is_dir()
+# uvx runs a program from its cache, where no shell finds it.
+_IN_CACHE = any((folder / "CACHEDIR.TAG").exists() for folder in Path(sys.prefix).parents)
+_WHEELS_PROGRAM = "uvx --from 'gaitway[up]' gaitway" if _IN_CACHE else "gaitway"
 # How a user starts `up` and `demo`.
-PROGRAM = "gaitway" if IS_WHEEL else "./run"
+PROGRAM = _WHEELS_PROGRAM if IS_WHEEL else "./run"
 
 
 def use_code() -> None:

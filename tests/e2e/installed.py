@@ -42,9 +42,7 @@ def install(folder: Path, *extras: str) -> Installed:
     No test reaches a package index: the dependencies are links to the files of the environment that runs the
     tests, without its editable installation of the checkout.
     """
-    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder / "dist")]
-    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
-    [wheel] = (folder / "dist").glob("*.whl")
+    wheel = build_wheel(folder / "dist")
     home = folder / "venv"
     venv.create(home, symlinks=True)
     site = Path(sysconfig.get_path("purelib", "venv", {"base": str(home), "platbase": str(home)}))
@@ -54,6 +52,14 @@ def install(folder: Path, *extras: str) -> Installed:
     for found in _needed(PathDistribution(metadata), extras).values():
         _link(found, site)
     return Installed(home, wheel)
+
+
+def build_wheel(folder: Path) -> Path:
+    """The wheel of this checkout, built into the folder."""
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    [wheel] = folder.glob("*.whl")
+    return wheel
 
 
 def _needed(package: Distribution, extras: tuple[str, ...]) -> dict[str, Distribution]:
