@@ -30,7 +30,7 @@ def running() -> str | None:
 
 @contextmanager
 def announced(url: str) -> Generator[None]:
-    """Within this, `running` answers the address. Raises OSError where it cannot be left."""
+    """Within this, `running` answers the address. Raises OSError, or RuntimeError without a home."""
     import fcntl
 
     _folder().mkdir(parents=True, exist_ok=True)

@@ -54,6 +54,24 @@ def test_the_wheel_brings_no_top_level_package_but_its_own(installed: Installed,
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
+def test_a_process_of_the_service_and_its_children_import_its_packages(
+    installed: Installed, tmp_path: Path
+) -> None:
+    for name in ("api", "core", "worker"):
+        (tmp_path / f"{name}.py").write_text("raise AssertionError('a module of the user')")
+    child = "import api, core, worker; print(core.__file__)"
+    program = (
+        "import subprocess, sys; from gaitway.service.installed import use_code; use_code()\n"
+        f"import api, core, worker; print(core.__file__, flush=True)\n"
+        f"subprocess.run([sys.executable, '-c', {child!r}])"
+    )
+    done = installed.python("-c", program, cwd=tmp_path)
+    assert done.stderr == ""
+    [parents, childs] = map(Path, done.stdout.splitlines())
+    assert parents == childs
+    assert parents.parts[-4:-1] == ("gaitway", "_service", "core")
+
+
 def test_the_cli_shows_commands_of_the_service_only_where_it_works(
     installed: Installed, tmp_path: Path
 ) -> None:

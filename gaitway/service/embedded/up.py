@@ -44,7 +44,7 @@ def run_stack(data_dir: Path, *, port: int | None = None, num_workers: int = 1) 
 def _leave_address(url: str, while_it_runs: ExitStack) -> None:
     try:
         while_it_runs.enter_context(announced(url))
-    except OSError as error:
+    except (OSError, RuntimeError) as error:  # RuntimeError: this user has no home.
         report(f"Clients do not find it by themselves ({error}): set GAITWAY_URL={url}.")
 
 
