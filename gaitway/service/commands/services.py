@@ -58,9 +58,7 @@ def require(extra: str, *modules: str) -> None:
     if missing:
         from core.installation import to_install
 
-        raise wrong_usage(
-            f"The service needs {missing[0]}, which is not installed: `{to_install(extra)}` installs it."
-        )
+        raise wrong_usage(f"{missing[0]} is not installed; `{to_install(extra)}` installs it.")
 
 
 def _become(module: str, arguments: list[str]) -> None:
