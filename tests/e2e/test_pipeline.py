@@ -46,6 +46,9 @@ SMALL: dict[str, Any] = {
     "seed": 3,
 }
 
+# The same training; what it looks like says nothing of its bits.
+UNFILMED: dict[str, Any] = {**SMALL, "video": None}
+
 # What a training job keeps in any case.
 KEPT = {
     *("checkpoint", "export", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory"),
@@ -231,7 +234,7 @@ def test_a_user_of_the_wheel_trains_on_the_service_and_loads_the_policy(
 def test_a_killed_training_process_changes_nothing_in_the_result(
     client: Client, undisturbed: JobView
 ) -> None:
-    job = client.submit(SMALL)
+    job = client.submit(UNFILMED)
     _, pid = until_checkpoint(client, job)
     os.kill(pid, signal.SIGKILL)
     ended = client.wait(job.id, timeout=110)
@@ -242,7 +245,7 @@ def test_a_killed_training_process_changes_nothing_in_the_result(
 
 @pytest.mark.extra
 def test_a_drained_worker_changes_nothing_in_the_result(client: Client, undisturbed: JobView) -> None:
-    job = client.submit(SMALL)
+    job = client.submit(UNFILMED)
     until_checkpoint(client, job)
     (worker,) = client.workers()
     os.kill(worker.pid, signal.SIGTERM)  # The stack starts another one in its place.
@@ -254,7 +257,7 @@ def test_a_drained_worker_changes_nothing_in_the_result(client: Client, undistur
 def test_killed_stores_change_nothing_in_the_result_and_cost_no_attempt(
     client: Client, undisturbed: JobView
 ) -> None:
-    job = client.submit(SMALL)
+    job = client.submit(UNFILMED)
     until_checkpoint(client, job)
     (worker,) = client.workers()
     launcher = psutil.Process(worker.pid).parent()
