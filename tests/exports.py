@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from core.algorithms.brax_training import init_normalizer
 from core.algorithms.export.contract import Origin, contract
 from core.algorithms.export.network import Network, network_of
 from core.algorithms.export.numpy_file import numpy_file
 from core.algorithms.export.onnx_file import onnx_file
-from core.algorithms.normalizer import init_normalizer
-from core.algorithms.policy import load_policy
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
 from core.algorithms.ppo.policy import make_inference as ppo_inference
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.sac.policy import make_inference as sac_inference
 from core.algorithms.sac.spec import SACSpec
+from core.algorithms.trained_policy import load_policy
 from gaitway import exported_policy
 
 Numbers = NDArray[np.float32]

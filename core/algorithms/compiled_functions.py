@@ -3,17 +3,63 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, cast
+from functools import partial
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 
 from core.algorithms.algorithm import Algorithm, Failure, S
-from core.algorithms.epoch import updates_until
 from core.algorithms.evaluation import EpisodeTotals
 from core.algorithms.events import Phase
 from core.compilation import compiled_side_by_side
 from core.environments.wrappers.vectorized import ENVS
+
+
+class _Counted(Protocol):
+    @property
+    def num_updates(self) -> jax.Array: ...
+
+
+class _Failure(Protocol):
+    @property
+    def quantities(self) -> jax.Array: ...
+
+
+Counted = TypeVar("Counted", bound=_Counted)
+Hyper = TypeVar("Hyper")
+Failed = TypeVar("Failed", bound=_Failure)
+
+
+def updates_until(
+    update: Callable[[Counted, Hyper], tuple[Counted, dict[str, jax.Array], Failed]],
+    state: Counted,
+    hyperparameters: Hyper,
+    until: jax.Array,
+) -> tuple[Counted, dict[str, jax.Array], Failed]:
+    """Update until `until` [] int32 updates are made, or one of them gives a value that is not finite.
+
+    update: from a state and hyperparameters to the next state, its metrics, and which of its quantities were
+    not finite. Returns the state after the last good update, metrics summed over the good ones, and what went
+    wrong in the bad one. The result of a run does not depend on how it is cut into epochs.
+    """
+    # Traced once for both uses below, and inlined as if the second had traced it, too.
+    once = jax.jit(update, inline=True)
+
+    def going(carry: tuple[Counted, Any, Failed]) -> jax.Array:
+        state, _, failure = carry
+        return (state.num_updates < until) & ~jnp.any(failure.quantities)
+
+    def advance(carry: tuple[Counted, Any, Failed]) -> tuple[Counted, Any, Failed]:
+        state, sums, _ = carry
+        new, metrics, failure = once(state, hyperparameters)
+        good = ~jnp.any(failure.quantities)
+        keep = partial(jax.tree.map, lambda a, b: jnp.where(good, a, b))
+        return keep(new, state), keep(jax.tree.map(jnp.add, sums, metrics), sums), failure
+
+    shapes = jax.eval_shape(once, state, hyperparameters)[1:]
+    sums, failure = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    return jax.lax.while_loop(going, advance, (state, sums, failure))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
-"""Acting: the transitions that one update learns from."""
+"""Acting, also at random: the transitions that one update learns from, and whether they are finite."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -9,8 +9,10 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import Transition
 from core.algorithms.evaluation import Policy, clearly_named
+from core.algorithms.spec import EpsilonShape
 from core.environments.body_position import body_position
 from core.environments.environment import State
 from core.environments.wrappers.autoreset import Episodes, draw, follow
@@ -178,3 +180,47 @@ def summarise(outcome: Outcome) -> dict[str, Float[Array, ""]]:
         "falls": jnp.sum(outcome.fell),
     }
     return {name: jnp.mean(values) for name, values in means.items() if values is not None} | sums
+
+
+def greedy(values: Float[Array, "*N choices"]) -> Int[Array, "*N"]:
+    """The best choices [...] int32 by their values, of equal ones the first."""
+    return jnp.argmax(values, axis=-1).astype(jnp.int32)
+
+
+def epsilon_greedy(values: Float[Array, "*N choices"], epsilon: Scalar, key: jax.Array) -> Int[Array, "*N"]:
+    """The best choices [...] int32, but with probability epsilon [] any.
+
+    Source: Sutton & Barto, Reinforcement Learning (2018), section 2.2.
+    """
+    explore_key, choose_key = jax.random.split(key)
+    shape, num_choices = values.shape[:-1], values.shape[-1]
+    explores = jax.random.uniform(explore_key, shape) < epsilon
+    any_choice = jax.random.randint(choose_key, shape, 0, num_choices)
+    return jnp.where(explores, any_choice, greedy(values))
+
+
+def decayed(start: Scalar, end: Scalar, share: Scalar, shape: EpsilonShape) -> Float[Array, ""]:
+    """Epsilon after this share of its decay, which ends at 1: from `start` to `end`."""
+    share = jnp.clip(share, 0.0, 1.0)
+    if shape == "linear":
+        return start + (end - start) * share
+    return start * (end / start) ** share
+
+
+def find_failure(next_observation: Any, outcome: Outcome, learnt: Sequence[jax.Array]) -> Failure:
+    """Which quantities of an update were not finite. Each may spoil those after it.
+
+    next_observation: arrays [T, N, size]. learnt: for each further quantity, [] bool, true where it is not
+    finite.
+    """
+    seen = [jnp.all(jnp.isfinite(x), axis=(1, 2)) for x in jax.tree.leaves(next_observation)]
+    bad_obs = ~jnp.all(jnp.stack(seen), axis=0) | lost_too_many(outcome)
+    bad_reward = ~jnp.all(jnp.isfinite(outcome.reward), axis=1)
+    bad = bad_obs | bad_reward
+    first = jnp.where(jnp.any(bad), jnp.argmax(bad), len(bad)).astype(jnp.int32)
+    return Failure(jnp.stack([jnp.any(bad_obs), jnp.any(bad_reward), *learnt]), first)
+
+
+def any_not_finite(tree: Any) -> jax.Array:
+    """[] bool, of all arrays of a tree."""
+    return jnp.any(jnp.stack([~jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from core.algorithms.algorithm import Algorithm, S
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.compiled_functions import CompiledFunctions, in_phases, trace_seeds
-from core.algorithms.divergence import diverged
 from core.algorithms.events import Event, SeedDiverged, metric_of_seed
-from core.algorithms.loop import Loop, check_finite
+from core.algorithms.run import Loop, check_finite, diverged
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
 from core.errors import JobFailed

@@ -1,9 +1,12 @@
-"""What code that runs any algorithm's job can read from its hyperparameters."""
+"""Hyperparameters that algorithms share, and what code for any algorithm reads of them."""
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
 
 from core.documents import Strict
+from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
 
 
@@ -74,3 +77,51 @@ def check_resumption(wanted: BaseSpec, made_with: BaseSpec) -> None:
             "The job cannot resume from that checkpoint. " + " ".join(problem.detail for problem in problems),
             problems,
         )
+
+
+def check_curriculum(reset_pool_size: int, environment: EnvironmentInfo) -> Rejected | None:
+    """The refusal of a curriculum that changes nothing: environments always return to their first states."""
+    if reset_pool_size or not environment.has_curriculum:
+        return None
+    detail = (
+        "With reset_pool_size = 0 every environment returns to its own first state for the whole run, so a "
+        "curriculum would change nothing: leave reset_pool_size out, or give up the curriculum."
+    )
+    places = ("/algorithm/reset_pool_size", "/environment/options/curriculum")
+    return Rejected(detail, [Problem(place, detail) for place in places])
+
+
+Share = Annotated[float, Field(ge=0, le=1)]
+EpsilonShape = Literal["linear", "exponential"]
+# The place of a schedule in a job.
+EPSILON_POINTER = "/algorithm/epsilon"
+
+
+class EpsilonSchedule(Strict):
+    """The share of choices that are made at random: from `start` to `end`, and then it stays."""
+
+    start: Share = 0.5
+    end: Share = 0.05
+    decay_decisions: int | None = Field(
+        default=None,
+        ge=1,
+        le=10**12,
+        description="Decisions until `end`, those of a learner in all of its environments. By default: all "
+        "of the run's.",
+    )
+    shape: EpsilonShape = "linear"
+
+    def problems(self, num_decisions: int, *ends: float | None) -> list[Problem]:
+        """What is wrong with it in a run of this number of decisions; ends: other values of start and end
+        that a part of the run takes."""
+        problems = list[Problem]()
+        if self.decay_decisions is not None and self.decay_decisions > num_decisions:
+            detail = (
+                f"decay_decisions = {self.decay_decisions:,}, and the run has {num_decisions:,} decisions "
+                "of an agent."
+            )
+            problems.append(Problem(f"{EPSILON_POINTER}/decay_decisions", detail))
+        if self.shape == "exponential" and 0.0 in (self.start, self.end, *ends):
+            detail = "An exponential schedule of epsilon never comes from or to 0; take a small number."
+            problems.append(Problem(f"{EPSILON_POINTER}/shape", detail))
+        return problems

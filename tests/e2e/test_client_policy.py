@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from core.algorithms.brax_training import init_normalizer
 from core.algorithms.checkpoint import describe
-from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy_file import write_policy
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.policy import make_inference

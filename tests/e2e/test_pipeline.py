@@ -13,8 +13,8 @@ import numpy as np
 import psutil
 import pytest
 
-from core.algorithms.policy import load_policy
 from core.algorithms.ppo.policy import make_inference
+from core.algorithms.trained_policy import load_policy
 from core.environments import trajectory
 from gaitway import exported_policy
 from gaitway.client import Client

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 
-from core.algorithms.normalizer import init_normalizer
+from core.algorithms.brax_training import init_normalizer
 from core.algorithms.policy_file import write_policy
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec

@@ -12,9 +12,9 @@ import pytest
 from core.algorithms.dqn.network import QNetwork
 from core.algorithms.dqn.policy import FORMAT
 from core.algorithms.events import Progress
-from core.algorithms.policy import load_policy
 from core.algorithms.q_learning.discrete_env import make_action_set
 from core.algorithms.run import Run
+from core.algorithms.trained_policy import load_policy
 from core.environments.rollout import Roller
 from core.errors import JobFailed, Rejected
 from gaitway import policy as client_policy

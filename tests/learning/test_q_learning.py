@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
-from core.algorithms.policy import policy_from_checkpoint
 from core.algorithms.q_learning.learner import Learner
 from core.algorithms.q_learning.table import FORMAT, LearntTable, read_policy, table_from_checkpoint
+from core.algorithms.trained_policy import policy_from_checkpoint
 from core.environments.brittle_star.discretization import towards_target
 from core.environments.discretization import Discretization
 from core.environments.environment import Environment

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.policy import load_policy
 from core.algorithms.run import Run
 from core.algorithms.sac.networks import make_networks
 from core.algorithms.sac.policy import FORMAT
+from core.algorithms.trained_policy import load_policy
 from core.environments.rollout import Roller
 from gaitway import policy as client_policy
 from tests import probes

@@ -20,12 +20,12 @@ from core.algorithms.events import (
     is_of_a_seed,
     metric_of_seed,
 )
-from core.algorithms.policy import policy_from_checkpoint
 from core.algorithms.ppo.learner import FORMAT as PPO_FORMAT
 from core.algorithms.run import Run
 from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
 from core.algorithms.seeds import SeedsRun, make_seeds_run
 from core.algorithms.spec import BaseSpec
+from core.algorithms.trained_policy import policy_from_checkpoint
 from core.environments import catalog
 from core.environments.environment import Environment, State
 from core.errors import JobFailed, Rejected

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import pytest
 
 from core.algorithms.catalog import ALGORITHMS, AlgorithmInfo
-from core.algorithms.policy import load_policy, policy_from_checkpoint
 from core.algorithms.run import Run, make_run
+from core.algorithms.trained_policy import load_policy, policy_from_checkpoint
 from core.errors import JobFailed
 from tests import probes
 from tests.learning.random_search.spec import RandomSearchSpec

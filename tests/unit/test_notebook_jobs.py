@@ -9,7 +9,7 @@ import pytest
 
 from core.algorithms import catalog as algorithms
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.schedule import Schedule
+from core.algorithms.run import Schedule
 from core.environments import catalog
 from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.options import DirectedOptions

@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from core.algorithms.policy import load_policy
-from core.algorithms.trained_policy import TrainedPolicy
+from core.algorithms.trained_policy import TrainedPolicy, load_policy
 from core.environments.rollout import Roller
 from core.jobs.job import JobPhase
 from core.jobs.spec import VideoSpec

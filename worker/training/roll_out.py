@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 
-from core.algorithms.policy import load_policy, policy_from_checkpoint
+from core.algorithms.trained_policy import load_policy, policy_from_checkpoint
 from core.environments import trajectory
 from core.environments.environment import Environment
 from core.environments.rollout import (

@@ -18,9 +18,7 @@ from core.algorithms.dqn.network import QNetwork, acting, td_loss
 from core.algorithms.dqn.policy import FORMAT, write_policy
 from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.evaluation import EpisodeTotals, Policy, evaluation_metrics, run_episodes
-from core.algorithms.experience import summarise
-from core.algorithms.exploration import decayed
-from core.algorithms.failure import any_not_finite, find_failure
+from core.algorithms.experience import any_not_finite, decayed, find_failure, summarise
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.acting import (
     Experience,

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from core.algorithms.brax_training import networks
 from core.algorithms.evaluation import Policy
-from core.algorithms.exploration import Scalar, epsilon_greedy, greedy
+from core.algorithms.experience import Scalar, epsilon_greedy, greedy
 from core.algorithms.off_policy.replay import Sample
 from core.environments.discretization import ActionSet
 

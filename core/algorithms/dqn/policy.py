@@ -8,10 +8,9 @@ import jax.numpy as jnp
 from flax import serialization
 from pydantic import TypeAdapter
 
-from core.algorithms.brax_training import RunningStatisticsState
+from core.algorithms.brax_training import RunningStatisticsState, init_normalizer, normalization
 from core.algorithms.checkpoint import Format
 from core.algorithms.dqn.network import QNetwork
-from core.algorithms.normalizer import init_normalizer, normalization
 from core.algorithms.q_learning.discrete_env import make_action_set
 from core.algorithms.q_learning.spec import ActionSetOptions
 from core.algorithms.trained_policy import Acting, TrainedPolicy

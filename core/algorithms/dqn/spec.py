@@ -4,12 +4,12 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from core.algorithms.epsilon import EpsilonSchedule
 from core.algorithms.memory import FLOAT_BYTES, Memory, Part, perceptron
 from core.algorithms.off_policy.spec import OffPolicySpec, environments_part, replay_part, replay_refusal
 from core.algorithms.ppo.spec import LayerSizes
 from core.algorithms.q_learning.checks import problems_of_the_actions
 from core.algorithms.q_learning.spec import ActionSetOptions, choice_space
+from core.algorithms.spec import EpsilonSchedule
 from core.environments.info import Device, EnvironmentInfo, FiniteSpace
 from core.errors import Rejected
 

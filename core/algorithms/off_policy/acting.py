@@ -6,10 +6,15 @@ from typing import Any, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 
-from core.algorithms.brax_training import RunningStatisticsState, Transition, running_statistics
+from core.algorithms.brax_training import (
+    RunningStatisticsState,
+    Transition,
+    init_normalizer,
+    normalization,
+    running_statistics,
+)
 from core.algorithms.evaluation import Policy
 from core.algorithms.experience import Outcome, Starts, collect
-from core.algorithms.normalizer import init_normalizer, normalization
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.spec import OffPolicySpec
 from core.environments.environment import Environment

@@ -9,8 +9,7 @@ from pydantic import Field
 
 from core.algorithms.memory import FLOAT_BYTES, Part, shown
 from core.algorithms.ppo.spec import Activation
-from core.algorithms.spec import BaseSpec
-from core.algorithms.starts import unreachable_curriculum
+from core.algorithms.spec import BaseSpec, check_curriculum
 from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
 
@@ -145,7 +144,7 @@ def replay_refusal(
         _too_few_rows(settings)
         or _never_learns(settings)
         or _too_large_for_a_checkpoint(settings, environment, numbers_per_action)
-        or unreachable_curriculum(settings.reset_pool_size, environment)
+        or check_curriculum(settings.reset_pool_size, environment)
     )
 
 

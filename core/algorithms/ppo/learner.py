@@ -18,21 +18,23 @@ from core.algorithms.brax_training import (
     PPONetworkParams,
     RunningStatisticsState,
     Transition,
+    init_normalizer,
     make_inference_fn,
+    normalization,
     running_statistics,
 )
 from core.algorithms.checkpoint import Format, describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
 from core.algorithms.experience import (
     Starts,
+    any_not_finite,
     bootstrap_timeouts,
     collect,
     cut_into_unrolls,
+    find_failure,
     of_whole_episodes,
     summarise,
 )
-from core.algorithms.failure import any_not_finite, find_failure
-from core.algorithms.normalizer import init_normalizer, normalization
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
 from core.algorithms.ppo.kernels import layout as fitting
 from core.algorithms.ppo.loss import ADAM, Hyperparameters, adapt_to_kl, clipped, descend, linear, loss_of

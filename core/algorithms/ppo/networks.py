@@ -10,9 +10,9 @@ from core.algorithms.brax_training import (
     PPONetworks,
     identity_observation_preprocessor,
     make_ppo_networks,
+    normalization,
 )
 from core.algorithms.brax_training import networks as brax_networks
-from core.algorithms.normalizer import normalization
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import ObservationSize
 

@@ -7,8 +7,7 @@ from typing import Any, cast
 import jax
 from flax import serialization
 
-from core.algorithms.brax_training import make_inference_fn
-from core.algorithms.normalizer import init_normalizer
+from core.algorithms.brax_training import init_normalizer, make_inference_fn
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, Triple, config_of, read_policy
 from core.algorithms.ppo.learner import FORMAT
 from core.algorithms.ppo.networks import make_networks

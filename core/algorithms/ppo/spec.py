@@ -8,8 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from core.algorithms.memory import FLOAT_BYTES, Memory, Part, perceptron
-from core.algorithms.spec import BaseSpec
-from core.algorithms.starts import unreachable_curriculum
+from core.algorithms.spec import BaseSpec, check_curriculum
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
@@ -229,7 +228,7 @@ def refusal(settings: PPOSpec, environment: EnvironmentInfo, device: Device) -> 
         _uneven_batch(settings, device)
         or _crossed_learning_rates(settings)
         or _unknown_observation(settings, environment)
-        or unreachable_curriculum(settings.reset_pool_size, environment)
+        or check_curriculum(settings.reset_pool_size, environment)
     )
 
 

@@ -1,6 +1,5 @@
 """Which hyperparameters of Q-learning go together, and with which environment; a run's least memory."""
 
-from core.algorithms.epsilon import WHERE as EPSILON
 from core.algorithms.memory import FLOAT_BYTES, Memory, Part
 from core.algorithms.q_learning.spec import (
     MAX_CELLS,
@@ -16,6 +15,7 @@ from core.algorithms.q_learning.spec import (
     choice_space,
     state_space,
 )
+from core.algorithms.spec import EPSILON_POINTER
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
@@ -162,11 +162,11 @@ def _of_the_schedule(settings: QLearningSpec) -> list[Problem]:
     num_episodes = settings.num_updates * settings.num_envs
     if epsilon.decay_episodes is not None and epsilon.decay_episodes > num_episodes:
         detail = f"decay_episodes = {epsilon.decay_episodes:,}, and the run has {num_episodes:,} episodes."
-        problems.append(Problem(f"{EPSILON}/decay_episodes", detail))
+        problems.append(Problem(f"{EPSILON_POINTER}/decay_episodes", detail))
     if epsilon.decay_episodes is not None and epsilon.decay_decisions is not None:
         detail = "epsilon decays over episodes or over decisions, not over both."
         places = ("decay_episodes", "decay_decisions")
-        problems += [Problem(f"{EPSILON}/{place}", detail) for place in places]
+        problems += [Problem(f"{EPSILON_POINTER}/{place}", detail) for place in places]
     return problems
 
 

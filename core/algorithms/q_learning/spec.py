@@ -5,8 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from core.algorithms.epsilon import EpsilonSchedule, Share
-from core.algorithms.spec import BaseSpec
+from core.algorithms.spec import BaseSpec, EpsilonSchedule, Share
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo, FiniteSpace
 from core.environments.options import Range

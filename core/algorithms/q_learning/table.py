@@ -11,16 +11,16 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from core.algorithms import exploration
+from core.algorithms import experience
 from core.algorithms.checkpoint import Format
-from core.algorithms.epsilon import Shape
-from core.algorithms.exploration import Scalar, decayed
+from core.algorithms.experience import Scalar, decayed
 from core.algorithms.q_learning.discrete_env import Tabular
 from core.algorithms.q_learning.spec import (
     ActionSetOptions,
     QLearningSpec,
     StateDiscretizerOptions,
 )
+from core.algorithms.spec import EpsilonShape
 from core.algorithms.trained_policy import Acting, TrainedPolicy
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_hold import ActionHold
@@ -48,14 +48,14 @@ class Transitions(NamedTuple):
 
 def greedy(table: Table, rows: Int[Array, "*rows"]) -> Int[Array, "*rows"]:
     """The best columns [...] int32 of these rows [...], of equal ones the first."""
-    return exploration.greedy(table[rows])
+    return experience.greedy(table[rows])
 
 
 def epsilon_greedy(
     table: Table, rows: Int[Array, "*rows"], epsilon: Scalar, key: jax.Array
 ) -> Int[Array, "*rows"]:
     """The best columns [...] int32, but with probability epsilon [] any."""
-    return exploration.epsilon_greedy(table[rows], epsilon, key)
+    return experience.epsilon_greedy(table[rows], epsilon, key)
 
 
 def td_errors(table: Table, steps: Transitions, discounting: Scalar) -> Float[Array, " N"]:
@@ -96,7 +96,7 @@ class Exploration:
     """
 
     by_episodes: bool
-    shape: Shape
+    shape: EpsilonShape
     decisions_per_round: int
     num_envs: int
 

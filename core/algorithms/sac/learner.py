@@ -15,8 +15,7 @@ from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import RunningStatisticsState
 from core.algorithms.checkpoint import describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
-from core.algorithms.experience import summarise
-from core.algorithms.failure import any_not_finite, find_failure
+from core.algorithms.experience import any_not_finite, find_failure, summarise
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.acting import (
     Experience,

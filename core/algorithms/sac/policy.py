@@ -7,8 +7,8 @@ import jax
 from flax import serialization
 
 from core.algorithms import policy_file
+from core.algorithms.brax_training import init_normalizer, normalization
 from core.algorithms.checkpoint import Format
-from core.algorithms.normalizer import init_normalizer, normalization
 from core.algorithms.policy_file import PolicyConfig, PolicyParams
 from core.algorithms.sac.networks import make_networks
 from core.algorithms.sac.spec import SACSpec

@@ -8,6 +8,7 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import compute_ppo_loss
 from brax.training.types import Transition
 
+from core.algorithms.brax_training import init_normalizer
 from core.algorithms.experience import (
     Outcome,
     collect,
@@ -16,7 +17,6 @@ from core.algorithms.experience import (
     of_whole_episodes,
     summarise,
 )
-from core.algorithms.normalizer import init_normalizer
 from core.algorithms.ppo.learner import Learner, TrainingState
 from core.algorithms.ppo.loss import Hyperparameters
 from core.algorithms.ppo.networks import init_params, make_networks

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from brax.training.types import Transition
 
+from core.algorithms.brax_training import init_normalizer
 from core.algorithms.experience import bootstrap_timeouts
-from core.algorithms.normalizer import init_normalizer
 from core.algorithms.ppo.learner import Learner
 from core.algorithms.ppo.loss import Hyperparameters, loss_of
 from core.algorithms.ppo.spec import PPOSpec

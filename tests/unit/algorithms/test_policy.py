@@ -19,9 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.algorithms import brax_pickle
-from core.algorithms.brax_training import RunningStatisticsState, UInt64
+from core.algorithms.brax_training import RunningStatisticsState, UInt64, init_normalizer
 from core.algorithms.checkpoint import describe
-from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy_file import (
     PolicyConfig,
     PolicyParams,

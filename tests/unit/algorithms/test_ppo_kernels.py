@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.brax_training import Transition
+from core.algorithms.brax_training import Transition, init_normalizer
 from core.algorithms.brax_training import networks as brax_networks
-from core.algorithms.normalizer import init_normalizer
 from core.algorithms.ppo.kernels import layout as fitting
 from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Chosen, gradient
 from core.algorithms.ppo.kernels.layout import Layout, Sizes, rounded_up

@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.algorithms.schedule import Schedule
+from core.algorithms.run import Schedule
 
 schedules = st.builds(
     Schedule,

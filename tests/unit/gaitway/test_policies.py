@@ -14,13 +14,12 @@ import pytest
 from brax.training.acme import running_statistics
 from pydantic import TypeAdapter
 
+from core.algorithms.brax_training import init_normalizer
 from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.checkpoint import describe
 from core.algorithms.dqn import policy as dqn
 from core.algorithms.dqn.network import QNetwork
 from core.algorithms.dqn.spec import DQNSpec
-from core.algorithms.normalizer import init_normalizer
-from core.algorithms.policy import load_policy
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.policy import make_inference
@@ -32,6 +31,7 @@ from core.algorithms.q_learning.table import epsilon_greedy, greedy
 from core.algorithms.sac import policy as sac
 from core.algorithms.sac.networks import make_networks as make_sac_networks
 from core.algorithms.sac.spec import SACSpec
+from core.algorithms.trained_policy import load_policy
 from gaitway import PolicyUnreadable, policy
 from tests import probes
 from tests.exports import numpy_file_of
