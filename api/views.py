@@ -19,7 +19,7 @@ from core.errors import Rejected
 from core.jobs.job import Artifact, Job, Progress, UnreadableJob
 from core.jobs.spec import SentSpec
 from core.jobs.workers import WorkerInfo, what_it_waits_for
-from core.rendering.camera import TRACK
+from core.rendering.layout import TRACK
 from core.sweeps import pbt
 from core.sweeps.advance import num_trials
 from core.sweeps.results import best, by_seed, judged, metrics_of

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from core.environments.environment import State
-from core.environments.wrappers.base import Wrapped
+from core.environments.environment import State, Wrapped
 from core.physics.engine import NOMINAL, OVERFLOW, ModelFields
 
 

@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from core.environments.discretization import CONTINUOUS, Discretization
-from core.environments.environment import State
+from core.environments.environment import CONTINUOUS, Discretization, State
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState
 
 # (observation, time, action) -> (reward, done)

@@ -33,8 +33,8 @@ from core.jobs.resolved import model_of, resolve_environment
 from core.jobs.spec import EnvironmentSpec
 from core.previews import library
 from core.previews.record import Preview, PreviewRequest, Still
-from core.rendering.camera import camera_choices, model_camera
-from core.rendering.overlays import Overlay
+from core.rendering.layout import camera_choices, model_camera
+from core.rendering.request import Overlay
 from gaitway.schema import PreviewView, StillView
 
 router = APIRouter(tags=["catalog"])

@@ -64,8 +64,8 @@ def keep_compiled(cache: str, engine: str) -> None:
     """Keep in this folder what JAX and the engine compile, as a worker does."""
     import jax
 
+    from core.physics.choose import set_warp_cache
     from core.physics.compiled.code.kept_code import keep_code
-    from core.physics.warp_cache import set_warp_cache
 
     jax.config.update("jax_compilation_cache_dir", cache)
     if engine == "warp":

@@ -10,8 +10,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
 from core.environments.environment import Environment, State
-from core.environments.wrappers.autoreset import select
-from core.environments.wrappers.lost_bodies import without_lost
+from core.environments.wrappers.autoreset import select, without_lost
 
 # (observations [N, obs], or several by name, key) -> (actions [N, act], extras)
 Policy = Callable[[Any, jax.Array], tuple[jax.Array, Any]]

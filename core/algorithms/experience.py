@@ -15,8 +15,7 @@ from core.algorithms.evaluation import Policy, clearly_named
 from core.algorithms.spec import EpsilonShape
 from core.environments.body_position import body_position
 from core.environments.environment import State
-from core.environments.wrappers.autoreset import Episodes, draw, follow
-from core.environments.wrappers.lost_bodies import without_lost
+from core.environments.wrappers.autoreset import Episodes, draw, follow, without_lost
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import OVERFLOW
 

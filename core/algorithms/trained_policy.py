@@ -10,7 +10,7 @@ from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.checkpoint import kind_of, of_seed
 from core.environments.environment import Environment, State
 from core.environments.rollout import ParametricPolicy
-from core.environments.wrappers.action_hold import ActionHold
+from core.environments.wrappers.action_repeat import ActionHold
 
 
 class Acting(NamedTuple):

@@ -11,7 +11,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
 
-from core.environments.spaces import Slice, named
+from core.environments.info import Slice, named
 
 TABLE = Path(__file__).parent / "bodies.json"
 JointType = Literal["free", "ball", "slide", "hinge"]

@@ -1,14 +1,65 @@
-"""The interface of an environment, as algorithms use it."""
+"""The interface of an environment, as algorithms use it; its finite views; and the base of wrappers."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 import mujoco
 from flax import struct
 
-from core.environments.discretization import Discretization
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState
+
+# Arrays by the names that a state discretizer needs: entries of `State.info`, and `observation`.
+Seen = Mapping[str, jax.Array]
+
+
+@dataclass(frozen=True)
+class StateDiscretizer:
+    """find_rows: from what is seen of one environment to [num_parts] int32 row numbers, each below
+    num_states.
+
+    num_parts: parts of the body that read for themselves, such as arms; 1: the whole body does.
+    names: the rows', for people; empty where their numbers say as much.
+    """
+
+    needs: tuple[str, ...]
+    num_states: int
+    num_parts: int
+    find_rows: Callable[[Seen], jax.Array]
+    names: tuple[str, ...] = ()
+
+    def __call__(self, seen: Seen) -> jax.Array:
+        """The rows [num_parts] int32; -1 where what is needed is not finite."""
+        finite = [jnp.all(jnp.isfinite(seen[name])) for name in self.needs]
+        return jnp.where(jnp.all(jnp.stack(finite)), self.find_rows(seen), -1)
+
+
+@dataclass(frozen=True)
+class ActionSet:
+    """act: from choices [num_parts] int32, each below num_choices, to an action [action_size].
+
+    num_parts: parts of the body that choose for themselves, such as arms; 1: the whole body does.
+    names: the choices', for people; empty where their numbers say as much.
+    """
+
+    num_choices: int
+    num_parts: int
+    act: Callable[[jax.Array], jax.Array]
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Discretization:
+    """The finite views that an environment itself offers, by the names that jobs use."""
+
+    state_discretizers: Mapping[str, StateDiscretizer] = field(default_factory=dict[str, StateDiscretizer])
+    action_sets: Mapping[str, ActionSet] = field(default_factory=dict[str, ActionSet])
+
+
+CONTINUOUS = Discretization()
+
 
 # One array [size], or arrays by name: `state` is what a policy sees unless a run says otherwise.
 Observation = Any
@@ -76,3 +127,38 @@ class Environment(Protocol):
     def step(self, state: State, action: jax.Array) -> State:
         """The state after one action [action_size], each component in [-1, 1]."""
         ...
+
+
+@dataclass(frozen=True)
+class Wrapped:
+    """Model, times, sizes and finite views are those of the environment inside."""
+
+    environment: Environment
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        return self.environment.model
+
+    @property
+    def dt(self) -> float:
+        return self.environment.dt
+
+    @property
+    def episode_length(self) -> int:
+        return self.environment.episode_length
+
+    @property
+    def observation_size(self) -> ObservationSize:
+        return self.environment.observation_size
+
+    @property
+    def action_size(self) -> int:
+        return self.environment.action_size
+
+    @property
+    def tracked_body(self) -> int:
+        return self.environment.tracked_body
+
+    @property
+    def discretization(self) -> Discretization:
+        return self.environment.discretization

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments.discretization import CONTINUOUS, Discretization
-from core.environments.environment import Observation, State
+from core.environments.environment import CONTINUOUS, Discretization, Observation, State
 from core.environments.rewards import total
 from core.environments.simulation import Ends, Noise, NotSimulated, Numbers, Simulation, as_xml
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState

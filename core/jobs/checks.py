@@ -22,7 +22,7 @@ from core.jobs.spec import (
 from core.jobs.store import JobStore
 from core.jobs.workers import kind_of
 from core.physics.availability import check_physics, share_states
-from core.rendering.camera import check_cameras, model_camera
+from core.rendering.layout import check_cameras, model_camera
 
 # Every worker has this much memory.
 _HARMLESS_BYTES = 2**29

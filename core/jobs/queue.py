@@ -6,8 +6,8 @@ from typing import Protocol
 from core.devices import gpu_indices
 from core.jobs.job import Job
 from core.jobs.spec import MOST_GPUS, Accelerator, Priority
-from core.previews.queue import PreviewQueue
-from core.user_models.queue import ModelQueue
+from core.previews.record import PreviewQueue
+from core.user_models.record import ModelQueue
 
 # The queue of previews, which come before all jobs, and that of models, which come after them.
 FIRST, LAST = "gaitway-previews", "gaitway-models"

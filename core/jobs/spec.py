@@ -19,7 +19,7 @@ from core.documents import Strict
 from core.environments.randomization import Randomizations
 from core.physics.availability import PhysicsChoice
 from core.rendering.layout import Layout
-from core.rendering.overlays import Overlay
+from core.rendering.request import Overlay
 
 JobId = Annotated[str, Field(pattern=r"^[0-9a-f]{12}-[0-9a-f]{10}$", examples=["019aa3c2f0b1-5be0c1d2e3"])]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]

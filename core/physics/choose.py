@@ -1,6 +1,11 @@
-"""From an engine's name to the engine; each one's libraries are loaded only when it is built."""
+"""From an engine's name to the engine; each one's libraries are loaded only when it is built.
 
+The kernels that Warp compiles are kept in a folder that a worker names.
+"""
+
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import assert_never
 
 import mujoco
@@ -67,3 +72,15 @@ def engine_builder(name: EngineName) -> EngineBuilder:
     Building raises JobFailed if the worker lacks the engine, or the engine cannot run the model.
     """
     return _Builder(name)
+
+
+def set_warp_cache(folder: Path) -> None:
+    """Keep the kernels that Warp compiles in this folder, unless WARP_CACHE_PATH names another.
+
+    Call it before the first engine is built: Warp reads the setting once. Raises JobFailed without Warp.
+    """
+    check_installed("warp")
+    import warp
+
+    if "WARP_CACHE_PATH" not in os.environ:
+        warp.config.kernel_cache_dir = str(folder)

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from core.devices import num_cores
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
-from core.physics.exact import in_parts, of_parts
 from core.physics.host_call import Floats, host_call
-from core.physics.model import GEOMETRY
+from core.physics.model import GEOMETRY, in_parts, of_parts
 
 _Move = Callable[[Batch, NDArray[np.intp] | None], None]
 

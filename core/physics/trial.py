@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.physics.engine import Engine, PhysicsState
-from core.physics.exact import in_parts
-from core.physics.model import initial_qpos
+from core.physics.model import in_parts, initial_qpos
 
 # The part of the motion by which an engine may differ in half of the tries, and in nine of ten.
 HALF_WITHIN, MOST_WITHIN = 1e-3, 0.1

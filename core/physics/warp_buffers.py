@@ -16,9 +16,7 @@ from mujoco.mjx.third_party import mujoco_warp as mjw  # noqa: E402
 
 from core.physics.capacity import capacity, measure  # noqa: E402
 from core.physics.model import model_field  # noqa: E402
-from core.physics.warp_geoms import FixedGeoms  # noqa: E402
-from core.physics.warp_kernels import load_kernels  # noqa: E402
-from core.physics.warp_step import Substep  # noqa: E402
+from core.physics.warp_step import FixedGeoms, Substep, load_kernels  # noqa: E402
 
 Move = Literal["forward", "step"]
 

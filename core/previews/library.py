@@ -7,8 +7,7 @@ from datetime import datetime
 from itertools import groupby
 
 from core.errors import ObjectNotFound, TooManyPreviews
-from core.previews.queue import PreviewQueue
-from core.previews.record import Preview, PreviewRequest, Still
+from core.previews.record import Preview, PreviewQueue, PreviewRequest, Still
 from core.rendering.request import RenderFailure
 from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore

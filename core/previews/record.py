@@ -1,14 +1,14 @@
-"""A request for stills, and the stills that a worker rendered."""
+"""A request for stills, its queue, and the stills that a worker rendered."""
 
 import hashlib
 import json
 from importlib.metadata import version
+from typing import Protocol
 
 from pydantic import JsonValue
 
 from core.documents import Stored
-from core.rendering.overlays import Overlay
-from core.rendering.request import RenderFailure
+from core.rendering.request import Overlay, RenderFailure
 
 # Raise it with every change of how a scene looks, so that no outdated still is shown.
 _SCENE_VERSION = 2
@@ -55,3 +55,19 @@ class Preview(Stored):
 
     stills: list[Still] = []
     failure: RenderFailure | None = None
+
+
+class PreviewQueue(Protocol):
+    """At-least-once; every method raises RecordsUnavailable when the queue cannot be reached."""
+
+    def enqueue_preview(self, request: PreviewRequest) -> None:
+        """Let any worker render the stills, before all jobs. Doing so twice changes nothing."""
+        ...
+
+    def contains_preview(self, preview_id: str) -> bool:
+        """Whether it waits, or a worker is rendering it."""
+        ...
+
+    def num_previews(self) -> int:
+        """How many wait for a worker."""
+        ...

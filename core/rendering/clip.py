@@ -7,8 +7,7 @@ from pathlib import Path
 
 import mujoco
 
-from core.rendering.camera import TRACK, check_cameras, model_camera
-from core.rendering.layout import Layout
+from core.rendering.layout import TRACK, Layout, check_cameras, model_camera
 from core.rendering.mp4 import CODEC, Mp4Writer, write_png
 from core.rendering.picture_grid import Moment, PictureGrid
 from core.rendering.request import RenderRequest, RenderResult

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from core.rendering import floor
 from core.rendering.gl import context_works
-from core.rendering.overlays import Overlay
+from core.rendering.request import Overlay
 from core.rendering.scene import TARGET_BODY, Floats, View, prepare, quality_of
 
 ModelFields = Mapping[str, NDArray[np.floating[Any]]]

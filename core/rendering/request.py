@@ -4,7 +4,10 @@ from pathlib import Path
 from typing import Literal
 
 from core.documents import Stored
-from core.rendering.overlays import Overlay
+
+# MuJoCo's flags of these names: joints, points of contact, the centre of mass, bodies one can see through.
+Overlay = Literal["joints", "contacts", "centre_of_mass", "transparent"]
+
 
 FailureReason = Literal["no_gl", "bad_request", "crashed", "timeout"]
 

@@ -9,8 +9,7 @@ from core.errors import BadModel, ModelNotFound, RecordsUnavailable
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.storage.whole import read_whole
-from core.user_models.queue import ModelQueue
-from core.user_models.record import ModelRecord
+from core.user_models.record import ModelQueue, ModelRecord
 from core.user_models.store import ModelStore
 
 _ID = re.compile(r"sha256:[0-9a-f]{64}")

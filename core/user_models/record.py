@@ -1,7 +1,7 @@
-"""A user's model, and what a worker found in it."""
+"""A user's model, the queue of models to validate, and the result of the validation."""
 
 from datetime import datetime
-from typing import Literal
+from typing import Literal, Protocol
 
 from core.documents import Stored
 from core.environments.info import Device
@@ -54,3 +54,15 @@ class ModelRecord(Stored):
     def is_settled(self) -> bool:
         """Whether its validation is complete."""
         return self.status == "refused" or (self.description is not None and self.description.complete)
+
+
+class ModelQueue(Protocol):
+    """At-least-once; both methods raise RecordsUnavailable when the queue cannot be reached."""
+
+    def enqueue_model(self, model_id: str) -> None:
+        """Let any worker validate the model, after all jobs. Doing so twice changes nothing."""
+        ...
+
+    def contains_model(self, model_id: str) -> bool:
+        """Whether it waits, or a worker is validating it."""
+        ...

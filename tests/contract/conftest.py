@@ -6,7 +6,7 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from core.physics.warp_cache import set_warp_cache
+from core.physics.choose import set_warp_cache
 from tests.contract.recording import Database
 from tests.kept_programs import KEPT
 

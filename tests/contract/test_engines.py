@@ -17,8 +17,7 @@ from core.environments import catalog
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.engine import DERIVED_FIELDS, Engine, PhysicsState, SolverSettings
-from core.physics.exact import of_parts
-from core.physics.model import brax_model, initial_qpos
+from core.physics.model import brax_model, initial_qpos, of_parts
 from tests.extra import extra
 
 NUM_SUBSTEPS = 3

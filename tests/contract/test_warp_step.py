@@ -8,8 +8,7 @@ import pytest
 import warp as wp
 from mujoco.mjx.third_party import mujoco_warp as mjw
 
-from core.physics.warp_kernels import load_kernels
-from core.physics.warp_step import Substep
+from core.physics.warp_step import Substep, load_kernels
 from tests.contract.test_warp import BALL
 
 pytestmark = [pytest.mark.extra, pytest.mark.usefixtures("warp_kernels")]

@@ -12,9 +12,8 @@ import numpy as np
 
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.run import Run, make_run
-from core.environments.brittle_star.discretization import towards_target
-from core.environments.discretization import CONTINUOUS, Discretization
-from core.environments.environment import Environment, State
+from core.environments.brittle_star.environment import towards_target
+from core.environments.environment import CONTINUOUS, Discretization, Environment, State
 from core.physics.engine import NOMINAL, ModelFields
 from tests.probes import nowhere
 

@@ -13,9 +13,8 @@ from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Pro
 from core.algorithms.q_learning.learner import Learner
 from core.algorithms.q_learning.table import FORMAT, LearntTable, read_policy, table_from_checkpoint
 from core.algorithms.trained_policy import policy_from_checkpoint
-from core.environments.brittle_star.discretization import towards_target
-from core.environments.discretization import Discretization
-from core.environments.environment import Environment
+from core.environments.brittle_star.environment import towards_target
+from core.environments.environment import Discretization, Environment
 from core.environments.rollout import Roller
 from core.errors import JobFailed
 from gaitway import policy as client_policy

@@ -6,9 +6,9 @@ from pathlib import Path
 from core.environments.rollout import initial_positions
 from core.jobs.spec import EnvironmentSpec, RolloutSpec, ZeroPolicy
 from core.previews.record import PreviewRequest
-from core.rendering.camera import model_camera
 from core.rendering.clip import camera_names
 from core.rendering.frames import MujocoRenderer
+from core.rendering.layout import model_camera
 from core.rendering.mp4 import write_png
 from core.rendering.scene import following_view
 from worker.protocol import Task

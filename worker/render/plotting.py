@@ -40,8 +40,8 @@ def draw_path(numbers: Path, picture: Path, title: str) -> None:
 def draw_tables(numbers: Path, folder: Path, title: str) -> None:
     import numpy as np
 
-    from core.rendering.plots.from_tables import pictures
     from core.rendering.plots.style import save
+    from core.rendering.plots.tables import pictures
 
     with np.load(numbers, allow_pickle=False) as tables:
         for name, figure in pictures(dict(tables), title=title).items():

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import jax
 
+from core.physics.choose import set_warp_cache
 from core.physics.compiled.code.kept_code import keep_code
-from core.physics.warp_cache import set_warp_cache
 from worker.compile_cache.local import CACHE
 
 

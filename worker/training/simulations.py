@@ -3,10 +3,9 @@
 import json
 from typing import Any
 
-from core.environments.environment import Environment
+from core.environments.environment import Environment, Wrapped
 from core.environments.mujoco_env import MujocoEnv
 from core.environments.simulation import NotSimulated
-from core.environments.wrappers.base import Wrapped
 from worker.training.event_writer import EventWriter
 
 NAME = "simulation.json"

@@ -31,8 +31,7 @@ from core.algorithms.off_policy.acting import (
 )
 from core.algorithms.q_learning.discrete_env import make_action_set
 from core.algorithms.sharding import ONE_DEVICE
-from core.environments.discretization import ActionSet
-from core.environments.environment import Environment
+from core.environments.environment import ActionSet, Environment
 from core.environments.wrappers.action_repeat import repeat_action
 from core.environments.wrappers.autoreset import Episodes
 from core.environments.wrappers.curriculum import progress_metrics

@@ -13,7 +13,7 @@ from core.algorithms.brax_training import networks
 from core.algorithms.evaluation import Policy
 from core.algorithms.experience import Scalar, epsilon_greedy, greedy
 from core.algorithms.off_policy.replay import Sample
-from core.environments.discretization import ActionSet
+from core.environments.environment import ActionSet
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,8 @@ from core.algorithms.dqn.network import QNetwork
 from core.algorithms.q_learning.discrete_env import make_action_set
 from core.algorithms.q_learning.spec import ActionSetOptions
 from core.algorithms.trained_policy import Acting, TrainedPolicy
-from core.environments.discretization import ActionSet
-from core.environments.environment import Environment, State
-from core.environments.wrappers.action_hold import ActionHold
+from core.environments.environment import ActionSet, Environment, State
+from core.environments.wrappers.action_repeat import ActionHold
 from core.errors import JobFailed
 from core.reasons import Reason
 

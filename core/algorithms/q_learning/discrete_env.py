@@ -22,10 +22,8 @@ from core.algorithms.q_learning.spec import (
     ObservationGrid,
     StateDiscretizerOptions,
 )
-from core.environments.discretization import ActionSet, Seen, StateDiscretizer
-from core.environments.environment import Environment, State
+from core.environments.environment import ActionSet, Environment, Seen, State, StateDiscretizer, Wrapped
 from core.environments.wrappers.action_repeat import repeat_action
-from core.environments.wrappers.base import Wrapped
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, ModelFields
 from core.reasons import Reason

@@ -23,7 +23,7 @@ from core.algorithms.q_learning.spec import (
 from core.algorithms.spec import EpsilonShape
 from core.algorithms.trained_policy import Acting, TrainedPolicy
 from core.environments.environment import Environment, State
-from core.environments.wrappers.action_hold import ActionHold
+from core.environments.wrappers.action_repeat import ActionHold
 from core.errors import JobFailed
 from core.reasons import Reason
 

@@ -15,8 +15,7 @@ from core.environments.brittle_star.options import (
     observed,
     size_of,
 )
-from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews
-from core.environments.spaces import Slice, Spaces, in_order, named
+from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews, Slice, Spaces, in_order, named
 from core.physics.availability import EngineName, Rule, beyond_compiled
 
 # biorobot's joints: half ranges in the plane and out of it.

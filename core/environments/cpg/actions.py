@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.environments.cpg import star
 from core.environments.cpg.options import CPGOptions
 from core.environments.cpg.oscillators import Network, Oscillators, advance, at_rest, output
 from core.environments.cpg.roles import (
@@ -20,13 +19,13 @@ from core.environments.cpg.roles import (
     decode,
     encode,
     modulation,
+    num_oscillators,
     roles_for,
     roles_under,
     strengths,
+    weights,
 )
-from core.environments.discretization import ActionSet, Discretization
-from core.environments.environment import Environment, State
-from core.environments.wrappers.base import Wrapped
+from core.environments.environment import ActionSet, Discretization, Environment, State, Wrapped
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, ModelFields
 from core.reasons import Reason
@@ -79,7 +78,7 @@ class CPGActions(Wrapped):
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         state = self.environment.reset(key, model)
         spread = self.options.initial_phase_spread
-        shape = (star.num_oscillators(self.num_arms),)
+        shape = (num_oscillators(self.num_arms),)
         phases = jax.random.uniform(jax.random.fold_in(key, _OWN_KEY), shape, minval=-spread, maxval=spread)
         return _with(state, at_rest(phases))
 
@@ -130,8 +129,8 @@ class CPGActions(Wrapped):
     @property
     def _network(self) -> Network:
         options = self.options
-        weights = star.weights(self.num_arms, options.coupling_weight)
-        return Network(jnp.asarray(weights), options.amplitude_gain, options.offset_gain)
+        coupling = weights(self.num_arms, options.coupling_weight)
+        return Network(jnp.asarray(coupling), options.amplitude_gain, options.offset_gain)
 
 
 def steered_by_oscillators(environment: Environment, num_arms: int, options: CPGOptions) -> CPGActions:

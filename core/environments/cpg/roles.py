@@ -1,4 +1,4 @@
-"""Rowing: what each arm does for the star to move in the direction of one of them.
+"""Rowing: what each arm of a star does for the star to move in the direction of one of them.
 
 The leading arm is held up. The arms beside it row: they sweep in the plane, and some part of a period later
 move up and down, so that they sweep back on the ground and forward above it, both sides in step. With an even
@@ -9,6 +9,9 @@ walk in a curve.
 Source: the leading-arm modulation of the tutorial notebook for five arms, here for any number and by roles.
 The bias between two oscillators depends only on the roles of their arms, so arms that choose their own roles
 row as well as arms whose roles are set together.
+
+Each arm has an oscillator in the plane and one out of it: 2k moves arm k in the plane and 2k + 1 out of it.
+The two of an arm are coupled, and so are oscillators of the same kind in neighbouring arms, all around.
 """
 
 import dataclasses
@@ -21,8 +24,55 @@ import numpy as np
 from flax import struct
 from numpy.typing import NDArray
 
-from core.environments.cpg import star
 from core.environments.cpg.oscillators import Modulation
+
+FEWEST_ARMS = 3
+
+
+def num_oscillators(num_arms: int) -> int:
+    return 2 * num_arms
+
+
+def edges(num_arms: int) -> NDArray[np.intp]:
+    """[3 num_arms, 2]: the couplings. First within each arm, in the plane to out of it; then from each arm to
+    the next one, in the plane; then the same out of it.
+
+    Raises ValueError for too few arms to form a ring.
+    """
+    if num_arms < FEWEST_ARMS:
+        raise ValueError(f"A star needs at least {FEWEST_ARMS} arms, not {num_arms}.")
+    arm = np.arange(num_arms)
+    following = np.roll(arm, -1)
+    within, in_plane, out_of_plane = (
+        (2 * arm, 2 * arm + 1),
+        (2 * arm, 2 * following),
+        (2 * arm + 1, 2 * following + 1),
+    )
+    return np.concatenate([np.stack(pair, axis=1) for pair in (within, in_plane, out_of_plane)])
+
+
+def weights(num_arms: int, weight: float) -> NDArray[np.float32]:
+    """[n, n]: `weight` where two oscillators are coupled, both ways, and 0 elsewhere."""
+    tail, head = edges(num_arms).T
+    matrix = np.zeros((num_oscillators(num_arms),) * 2, np.float32)
+    matrix[tail, head] = matrix[head, tail] = weight
+    return matrix
+
+
+def between_all(biases: jax.Array) -> jax.Array:
+    """[..., n, n]: by how much j is ahead of i, from these along the edges [..., 3 num_arms]; elsewhere 0."""
+    num_arms = biases.shape[-1] // 3
+    tail, head = edges(num_arms).T
+    edge, sign = np.zeros((2, *(num_oscillators(num_arms),) * 2), np.int32)
+    edge[tail, head] = edge[head, tail] = np.arange(len(tail))
+    sign[tail, head], sign[head, tail] = 1, -1
+    return biases[..., edge] * sign.astype(np.float32)
+
+
+def along_edges(matrix: jax.Array) -> jax.Array:
+    """[..., 3 num_arms]: the entries of [..., n, n] that belong to the edges."""
+    tail, head = edges(matrix.shape[-1] // 2).T
+    return matrix[..., tail, head]
 
 
 class Role(IntEnum):
@@ -97,7 +147,7 @@ def modulation(roles: jax.Array, gait: Gait) -> Modulation:
         amplitudes=_alternating(gait.sweep * in_plane, gait.stroke * out_of_plane),
         offsets=_alternating(zeros, gait.lift * offset),
         frequencies=jnp.broadcast_to(jnp.asarray(gait.frequency)[..., None], (*roles.shape[:-1], 1)),
-        phase_biases=star.between_all(_biases(roles, gait.lag)),
+        phase_biases=between_all(_biases(roles, gait.lag)),
     )
 
 
@@ -150,7 +200,7 @@ def encode(modulation: Modulation, bounds: Bounds) -> jax.Array:
         [
             modulation.amplitudes / bounds.max_amplitude * 2 - 1,
             modulation.offsets / bounds.max_offset,
-            star.along_edges(modulation.phase_biases) / jnp.pi,
+            along_edges(modulation.phase_biases) / jnp.pi,
             modulation.frequencies[..., :1] / bounds.max_frequency * 2 - 1,
         ],
         axis=-1,
@@ -165,5 +215,5 @@ def decode(action: jax.Array, bounds: Bounds) -> Modulation:
         amplitudes=(amplitudes + 1) / 2 * bounds.max_amplitude,
         offsets=offsets * bounds.max_offset,
         frequencies=(frequency + 1) / 2 * bounds.max_frequency,
-        phase_biases=star.between_all(biases * jnp.pi),
+        phase_biases=between_all(biases * jnp.pi),
     )

@@ -10,11 +10,10 @@ import mujoco
 from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.info import AntOptions
-from core.environments.locomotion.solver import BRAX_SOLVER
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
 from core.environments.simulation import Ends, Noise, Simulation, numbers
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
-from core.physics.model import brax_spec
+from core.physics.model import BRAX_SOLVER, brax_spec
 
 _NUM_SUBSTEPS = 5
 

@@ -10,7 +10,6 @@ import numpy as np
 from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.info import HumanoidOptions
-from core.environments.locomotion.solver import BRAX_SOLVER
 from core.environments.mujoco_env import (
     MujocoEnv,
     control_range,
@@ -21,7 +20,7 @@ from core.environments.mujoco_env import (
 )
 from core.environments.simulation import SHARE_VELOCITY, Ends, Noise, Simulation, numbers, rows
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
-from core.physics.model import brax_model, brax_spec
+from core.physics.model import BRAX_SOLVER, brax_model, brax_spec
 
 _NUM_SUBSTEPS = 5
 # The six numbers of a symmetric matrix in `cinert` as its nine, row by row.

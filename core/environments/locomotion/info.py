@@ -6,9 +6,8 @@ from pydantic import Field
 
 from core.documents import Strict
 from core.environments.bodies import CVEL, body, controls, qfrc_actuator, qpos, qvel, rows
-from core.environments.info import EnvironmentInfo, NoOptions
+from core.environments.info import EnvironmentInfo, NoOptions, Spaces, in_order, named
 from core.environments.options import NoiseScale, OpenRange, Range, Weight
-from core.environments.spaces import Spaces, in_order, named
 from core.physics.availability import Rule
 
 MAX_OBSERVED_SPEED = 10.0

@@ -1,48 +1,44 @@
 """From a job's terms to functions of a step: each term is bound to its parts' places in the arrays."""
 
 from dataclasses import replace
-from typing import assert_never
+from typing import Literal, assert_never
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from core.environments import rewards
-from core.environments.mjcf import observations
-from core.environments.mjcf.contacts import sensor_name
+from core.environments.mjcf.model import is_ours, sensor_name
 from core.environments.mjcf.step_context import BoundTerm, ModelIndex, StepContext
-from core.environments.mjcf.vocabulary.observations import (
+from core.environments.mjcf.vocabulary import (
+    ActionRate,
     Activation,
     ActuatorForces,
+    Alive,
     BodyOrientations,
     BodyPositions,
     Cinert,
-    Cvel,
-    ObservationTerm,
-    PreviousAction,
-    Qpos,
-    Qvel,
-    Sensors,
-)
-from core.environments.mjcf.vocabulary.rewards import (
-    ActionRate,
-    Alive,
     Contact,
     ControlCost,
+    Cvel,
     Distance,
     Energy,
     ForwardVelocity,
     HeightRange,
     JointLimits,
-    RewardTerm,
-    Upright,
-    VelocityTracking,
-)
-from core.environments.mjcf.vocabulary.terminations import (
     NotUpright,
+    ObservationTerm,
     OutsideHeightRange,
+    PreviousAction,
+    Qpos,
+    Qvel,
+    RewardTerm,
+    Sensors,
     TerminationTerm,
     Touching,
+    Upright,
+    VelocityTracking,
 )
 from core.environments.simulation import PREVIOUS_ACTION, Ends, NotSimulated, Numbers, numbers, rows
 
@@ -122,7 +118,7 @@ def observed(term: ObservationTerm, parts: ModelIndex) -> Numbers:  # noqa: C901
     model = parts.model
     match term:
         case Qpos():
-            return numbers("qpos", observations.visible_positions(parts, term.root_position))
+            return numbers("qpos", visible_positions(parts, term.root_position))
         case Qvel():
             return numbers("qvel", range(model.nv))
         case PreviousAction():
@@ -130,7 +126,7 @@ def observed(term: ObservationTerm, parts: ModelIndex) -> Numbers:  # noqa: C901
         case Activation():
             return numbers("act", range(model.na))
         case Sensors(names=names):
-            return numbers("sensordata", observations.sensor_places(parts, names))
+            return numbers("sensordata", sensor_places(parts, names))
         case BodyPositions(bodies=names, relative=relative):
             seen = rows("xpos", parts.bodies(names).tolist(), 3)
             less = [3 * parts.root + axis for axis in range(3)] * (len(seen.places) // 3)
@@ -225,7 +221,7 @@ def _distance(term: Distance, parts: ModelIndex) -> BoundTerm:
 
 
 def _joint_limits(term: JointLimits, parts: ModelIndex) -> BoundTerm:
-    joints = observations.limited_joints(parts, term.joints)
+    joints = limited_joints(parts, term.joints)
     places = parts.model.jnt_qposadr[joints]
     low, high = jnp.asarray(parts.model.jnt_range[joints].T, jnp.float32)
     return BoundTerm(
@@ -242,3 +238,34 @@ def _num_touching(term: Contact | Touching, parts: ModelIndex) -> BoundTerm:
 
 def _unit(vector: tuple[float, float, float]) -> jax.Array:
     return jnp.asarray(np.asarray(vector) / np.linalg.norm(vector), jnp.float32)
+
+
+def visible_positions(
+    parts: ModelIndex, root_position: Literal["all", "height", "none"] | None
+) -> np.ndarray:
+    """Places in qpos that are observed: all, all but the root's x and y, or all but its x, y and z."""
+    start = parts.free_joint(parts.root)
+    if start is None or root_position == "all":
+        hidden = []
+    elif root_position == "none":
+        hidden = [start, start + 1, start + 2]
+    else:
+        hidden = [start, start + 1]
+    return np.setdiff1d(np.arange(parts.model.nq), hidden)
+
+
+def sensor_places(parts: ModelIndex, names: list[str] | None) -> np.ndarray:
+    """Places in sensordata: of the named sensors in their order, or of all of the model's own."""
+    if names is not None:
+        return parts.sensors(names)
+    own = [sensor for sensor in range(parts.model.nsensor) if not is_ours(parts.model.sensor(sensor).name)]
+    starts, sizes = parts.model.sensor_adr, parts.model.sensor_dim
+    return np.concatenate([np.arange(starts[sensor], starts[sensor] + sizes[sensor]) for sensor in own])
+
+
+def limited_joints(parts: ModelIndex, names: list[str] | None) -> np.ndarray:
+    """Numbers of these joints; if None, of all hinges and slides that have a range."""
+    if names is not None:
+        return np.array([parts.model.joint(name).id for name in names])
+    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    return np.flatnonzero(parts.model.jnt_limited.astype(bool) & np.isin(parts.model.jnt_type, kinds))

@@ -9,16 +9,18 @@ from core.documents import Strict
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory, Kind
 from core.environments.mjcf.slices import num_observed
-from core.environments.mjcf.vocabulary.observations import Activation, Qpos, Sensors
-from core.environments.mjcf.vocabulary.reset import Reset
-from core.environments.mjcf.vocabulary.rewards import (
+from core.environments.mjcf.vocabulary import (
+    Activation,
     Contact,
     Distance,
     ForwardVelocity,
     JointLimits,
+    Qpos,
+    Reset,
+    Sensors,
+    Touching,
     VelocityTracking,
 )
-from core.environments.mjcf.vocabulary.terminations import Touching
 from core.errors import Problem
 from core.nearest import nearest
 

@@ -17,9 +17,17 @@ from core.environments.mjcf.info import MjcfOptions, metric_names
 from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import compiled, read
 from core.environments.mjcf.step_context import ModelIndex, StepContext
-from core.environments.mjcf.vocabulary.observations import ObservationTerm, Qpos, Qvel
-from core.environments.mjcf.vocabulary.rewards import Alive, ControlCost, ForwardVelocity, RewardTerm
-from core.environments.mjcf.vocabulary.terminations import OutsideHeightRange, TerminationTerm
+from core.environments.mjcf.vocabulary import (
+    Alive,
+    ControlCost,
+    ForwardVelocity,
+    ObservationTerm,
+    OutsideHeightRange,
+    Qpos,
+    Qvel,
+    RewardTerm,
+    TerminationTerm,
+)
 from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
 from core.environments.simulation import Noise, Simulation
 from core.errors import JobFailed

@@ -6,11 +6,14 @@ from pydantic import Field, model_validator
 
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
-from core.environments.mjcf.vocabulary.observations import ObservationTerm, Sensors
-from core.environments.mjcf.vocabulary.parts import Name
-from core.environments.mjcf.vocabulary.reset import Reset
-from core.environments.mjcf.vocabulary.rewards import RewardTerm
-from core.environments.mjcf.vocabulary.terminations import TerminationTerm
+from core.environments.mjcf.vocabulary import (
+    Name,
+    ObservationTerm,
+    Reset,
+    RewardTerm,
+    Sensors,
+    TerminationTerm,
+)
 from core.physics.availability import BodySize, Rule
 
 # Seconds per physics step.

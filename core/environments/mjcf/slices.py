@@ -3,9 +3,10 @@
 from collections.abc import Iterable, Sequence
 
 from core.environments.bodies import CINERT, CVEL, Body, JointType, qfrc_actuator, qpos, qvel, rows
+from core.environments.info import Slice, Spaces, in_order, named
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory, Sensor
-from core.environments.mjcf.vocabulary.observations import (
+from core.environments.mjcf.vocabulary import (
     Activation,
     ActuatorForces,
     BodyOrientations,
@@ -18,7 +19,6 @@ from core.environments.mjcf.vocabulary.observations import (
     Qvel,
     Sensors,
 )
-from core.environments.spaces import Slice, Spaces, in_order, named
 
 # By MuJoCo's type of a sensor; where the unit depends on the part that it reads, it is not known here.
 _UNITS = {

@@ -1,4 +1,7 @@
-"""Acting less often than the environment steps: one action is held for several steps."""
+"""Acting less often than the environment steps: one action is held for several steps.
+
+In training these are one step (`RepeatedAction`); rollouts and videos take them one at a time (`ActionHold`).
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -6,9 +9,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from core.environments.environment import Environment, State
+from core.environments.environment import Environment, State, Wrapped
 from core.environments.wrappers.autoreset import select
-from core.environments.wrappers.base import Wrapped
 from core.physics.engine import NOMINAL, OVERFLOW, ModelFields
 
 
@@ -55,3 +57,33 @@ class RepeatedAction(Wrapped):
 def repeat_action(environment: Environment, num_repeats: int) -> Environment:
     """The environment with every action taken `num_repeats` times; unchanged if that is once."""
     return environment if num_repeats == 1 else RepeatedAction(environment, num_repeats)
+
+
+# Entries that are added to `State.info`.
+_HELD, _STEPS = "held_action", "steps_taken"
+
+
+@dataclass(frozen=True)
+class ActionHold(Wrapped):
+    """The environment step by step; it remembers the last action and the number of steps."""
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        return _remembering(self.environment.reset(key, model), jnp.zeros(self.action_size), jnp.int32(0))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        steps = state.info[_STEPS]
+        inner = replace(state, info=_own(state))
+        return _remembering(self.environment.step(inner, action), action, steps + 1)
+
+    @staticmethod
+    def due_or_held(state: State, num_steps: int, due: jax.Array) -> jax.Array:
+        """[action_size]: `due` once in `num_steps` steps; otherwise the last step's action."""
+        return jnp.where(state.info[_STEPS] % num_steps == 0, due, state.info[_HELD])
+
+
+def _remembering(state: State, action: jax.Array, steps: jax.Array) -> State:
+    return replace(state, info={**state.info, _HELD: action, _STEPS: steps})
+
+
+def _own(state: State) -> dict[str, jax.Array]:
+    return {name: value for name, value in state.info.items() if name not in (_HELD, _STEPS)}

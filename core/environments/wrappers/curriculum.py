@@ -11,8 +11,7 @@ from typing import Protocol, cast, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from core.environments.environment import Environment
-from core.environments.wrappers.base import Wrapped
+from core.environments.environment import Environment, Wrapped
 
 
 @runtime_checkable

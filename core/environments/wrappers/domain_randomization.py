@@ -15,9 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.environments.environment import Environment, State
+from core.environments.environment import Environment, State, Wrapped
 from core.environments.randomization import FIELDS, FieldName, Kind, Randomization
-from core.environments.wrappers.base import Wrapped
 from core.errors import JobFailed
 from core.physics.engine import CONSTANTS, NOMINAL, ModelFields
 from core.physics.model import model_field

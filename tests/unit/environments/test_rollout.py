@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from core.environments import catalog
-from core.environments.environment import Environment, State
+from core.environments.environment import Environment, State, Wrapped
 from core.environments.rollout import (
     Roller,
     constant_policy,
@@ -23,7 +23,6 @@ from core.environments.rollout import (
     zero_policy,
 )
 from core.environments.trajectory import Episode, not_finite
-from core.environments.wrappers.base import Wrapped
 from core.physics.choose import engine_builder
 from core.physics.engine import NOMINAL, ModelFields
 from tests import probes

@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 
 from core.environments import catalog
 from core.environments.bodies import CINERT, CVEL, TABLE
-from core.environments.cpg import star
+from core.environments.cpg import roles
 from core.environments.cpg.options import CPGOptions, GaitOptions
 from core.environments.cpg.roles import decode
 from core.environments.describe_bodies import described
 from core.environments.environment import Environment, State
-from core.environments.info import EnvironmentInfo
+from core.environments.info import EnvironmentInfo, Slice, Spaces, in_order, named
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.slices import mjcf_slices
-from core.environments.spaces import Slice, Spaces, in_order, named
 from core.physics.choose import engine_builder
 from tests.unit.environments.mjcf import probe
 
@@ -230,14 +229,14 @@ def test_the_ends_of_a_generators_action_mean_what_they_say() -> None:
         assert by_name[name].size == np.asarray(read(low)).size
     # Arm 1 to arm 2 in the plane: the oscillators 2 and 4.
     place = by_name["phase_bias"].components.index("arm 1 to arm 2 in plane")
-    assert star.edges(3)[place].tolist() == [2, 4]
+    assert roles.edges(3)[place].tolist() == [2, 4]
     assert by_name["amplitude"].components[:2] == ("arm 0 in plane", "arm 0 out of plane")
 
 
 _DECODED: dict[str, Callable[[Any], Any]] = {
     "amplitude": lambda modulation: modulation.amplitudes,
     "offset": lambda modulation: modulation.offsets,
-    "phase_bias": lambda modulation: star.along_edges(modulation.phase_biases),
+    "phase_bias": lambda modulation: roles.along_edges(modulation.phase_biases),
     "frequency": lambda modulation: modulation.frequencies[:1],
 }
 

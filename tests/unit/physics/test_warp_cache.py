@@ -6,7 +6,7 @@ import pytest
 
 from core.errors import JobFailed
 from core.physics import availability
-from core.physics.warp_cache import set_warp_cache
+from core.physics.choose import set_warp_cache
 
 
 def test_a_worker_without_the_extra_ends_the_job_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:

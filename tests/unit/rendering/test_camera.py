@@ -4,7 +4,7 @@ import sys
 import pytest
 
 from core.errors import Rejected
-from core.rendering.camera import check_cameras, model_camera
+from core.rendering.layout import check_cameras, model_camera
 
 CAMERAS = ["side", "", "track"]
 
@@ -48,7 +48,7 @@ def test_of_several_cameras_the_one_at_fault_is_named(
 
 def test_the_api_can_check_a_camera_without_the_numerical_stack() -> None:
     code = (
-        "import sys, core.rendering.camera, core.rendering.layout, core.rendering.overlays;"
+        "import sys, core.rendering.layout, core.rendering.layout, core.rendering.request;"
         "sys.exit(any(name in sys.modules for name in ('mujoco', 'numpy', 'jax', 'av')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

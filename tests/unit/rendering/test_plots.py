@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from core.rendering.plots.episodes import episode_curves, from_metrics, moving_mean
-from core.rendering.plots.from_tables import pictures
 from core.rendering.plots.path import Walk, path_from_above
 from core.rendering.plots.style import compact, save
-from core.rendering.plots.tables import q_table, visit_counts
+from core.rendering.plots.tables import pictures, q_table, visit_counts
 
 # The second action is the best of the first state; the second state has learnt nothing yet.
 VALUES = np.array([[0.0, 2.0, 1.0], [0.5, 0.5, 0.5]])

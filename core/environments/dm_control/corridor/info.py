@@ -16,7 +16,7 @@ from core.environments.dm_control.corridor.walkers import (
     ZeroAction,
     check_is_offered,
 )
-from core.environments.info import EnvironmentInfo
+from core.environments.info import EnvironmentInfo, Spaces, in_order, named
 from core.environments.options import (
     Range,
     RunnerOptions,
@@ -24,7 +24,6 @@ from core.environments.options import (
     check_survives_its_start,
     lacks_solver,
 )
-from core.environments.spaces import Spaces, in_order, named
 from core.physics.availability import EngineName, Rule, beyond_compiled
 
 # The length of dm_control's first platform, and the space it leaves before the first wall, in metres.

@@ -9,8 +9,8 @@ from core.bounds import Real
 from core.documents import Strict
 from core.environments.bodies import CINERT, CVEL, Body, qfrc_actuator, rows
 from core.environments.dm_control.corridor.walkers import Walker
+from core.environments.info import Slice
 from core.environments.options import Weight
-from core.environments.spaces import Slice
 
 
 def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:

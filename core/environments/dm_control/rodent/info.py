@@ -7,7 +7,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from core.environments.bodies import CINERT, CVEL, body, controls, qfrc_actuator, qpos, qvel, rows
-from core.environments.info import EnvironmentInfo
+from core.environments.info import EnvironmentInfo, Spaces, in_order
 from core.environments.options import (
     LINE_SEARCH_ITERATIONS,
     SOLVER_ITERATIONS,
@@ -17,7 +17,6 @@ from core.environments.options import (
     check_survives_its_start,
     lacks_solver,
 )
-from core.environments.spaces import Spaces, in_order
 from core.physics.availability import Rule
 
 STANDING_HEIGHT_M = 0.047

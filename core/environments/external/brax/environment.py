@@ -4,16 +4,16 @@ Source: Freeman et al., Brax: A Differentiable Physics Engine for Large Scale Ri
 """
 
 import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
+from jax.interpreters.partial_eval import dce_jaxpr
 
-from core.environments.discretization import CONTINUOUS, Discretization
-from core.environments.environment import State
-from core.environments.external.brax.carried import carried
+from core.environments.environment import CONTINUOUS, Discretization, State
 from core.environments.external.brax.info import EPISODE_LENGTH, BraxOptions
 from core.environments.external.compat import as_float, plain_key, root_of
 from core.errors import JobFailed
@@ -112,3 +112,22 @@ class Brax:
         metrics = {name: as_float(value) for name, value in theirs.metrics.items()}
         info = {**theirs.info, **kept}
         return State(physics, theirs.obs, as_float(theirs.reward), as_float(theirs.done), metrics, info)
+
+
+def carried(step: Callable[..., tuple[Any, Any]], state: Sequence[Any], *others: Any) -> list[bool]:
+    """For each array of the state, whether the next step or a later one needs it.
+
+    step: (state, *others) -> (state afterwards, results); both states have the same number of arrays. state,
+    others: arrays, or their shapes. An array that only feeds itself is not needed. Found in the traced
+    program by dead code elimination; a loop without a fixed length counts as reading all of its inputs.
+    """
+    jaxpr = jax.make_jaxpr(step)(state, *others).jaxpr
+    num_results = len(jaxpr.outvars) - len(state)
+    needed = [False] * len(state)
+    while True:
+        _, read = dce_jaxpr(jaxpr, [*needed, *[True] * num_results])
+        # The step before must have left what a step reads.
+        grown = [one or other for one, other in zip(needed, read[: len(state)], strict=True)]
+        if grown == needed:
+            return needed
+        needed = grown

@@ -10,8 +10,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from core.environments.discretization import CONTINUOUS, Discretization
-from core.environments.environment import State
+from core.environments.environment import CONTINUOUS, Discretization, State
 from core.environments.external.compat import as_float, plain_key, root_of
 from core.environments.info import NoOptions
 from core.errors import JobFailed

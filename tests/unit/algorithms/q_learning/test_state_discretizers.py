@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 
 from core.algorithms.q_learning.discrete_env import Tabular, make_action_set, make_state_discretizer
 from core.algorithms.q_learning.spec import ActionSetOptions, StateDiscretizerOptions
-from core.environments.discretization import ActionSet, Discretization, StateDiscretizer
+from core.environments.environment import ActionSet, Discretization, StateDiscretizer
 from core.environments.wrappers.domain_randomization import RandomizedEnvironment
 from core.errors import JobFailed
 from tests import probes

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.environments.cpg import star
+from core.environments.cpg import roles
 from core.environments.cpg.oscillators import Network, Oscillators, advance, at_rest, output
 from core.environments.cpg.roles import Gait, modulation, roles_under
 
 WEIGHT, GAIN, DT, OMEGA, LIMIT = 5.0, 20.0, 0.04, np.pi, np.pi / 12
-OURS = Network(jnp.asarray(star.weights(5, WEIGHT)), GAIN, GAIN)
+OURS = Network(jnp.asarray(roles.weights(5, WEIGHT)), GAIN, GAIN)
 
 
 def the_notebooks(

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.environments.cpg import oscillators, roles, star
+from core.environments.cpg import oscillators, roles
 from core.environments.cpg.options import CPGOptions
 from core.environments.cpg.oscillators import Network, at_rest
 from core.environments.cpg.roles import Gait, Role, action_size, decode, encode, roles_under, strengths
@@ -53,7 +53,7 @@ def test_the_stroke_is_behind_the_sweep_by_the_lag_on_both_sides() -> None:
 def lock(played: jax.Array, spread: float = np.pi, seconds: float = 10.0) -> np.ndarray:
     """Phases [2 num_arms] of arms that have long been in these roles."""
     num_arms = len(played)
-    network = Network(jnp.asarray(star.weights(num_arms, 10.0)), 20.0, 20.0)
+    network = Network(jnp.asarray(roles.weights(num_arms, 10.0)), 20.0, 20.0)
     phases = jax.random.uniform(jax.random.key(num_arms), (2 * num_arms,), minval=-spread, maxval=spread)
     return np.asarray(
         advance(
@@ -95,11 +95,11 @@ def test_arms_that_choose_their_own_roles_lock_too() -> None:
 
 def test_every_oscillator_is_coupled_to_three_others() -> None:
     for num_arms in range(3, 9):
-        weights = star.weights(num_arms, 2.0)
+        weights = roles.weights(num_arms, 2.0)
         np.testing.assert_array_equal(weights, weights.T)
         np.testing.assert_array_equal(weights.sum(axis=1), np.full(2 * num_arms, 6.0))
     with pytest.raises(ValueError, match="3 arms"):
-        star.edges(2)
+        roles.edges(2)
 
 
 def test_an_action_stands_for_a_modulation_and_back() -> None:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from core.environments import catalog
-from core.environments.external.brax.carried import carried
-from core.environments.external.brax.environment import Brax, load
+from core.environments.external.brax.environment import Brax, carried, load
 from core.environments.external.brax.info import TABLE
 from core.errors import JobFailed, Rejected
 from core.jobs import checks

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.environments.environment import State
-from core.environments.wrappers.lost_bodies import without_lost
+from core.environments.wrappers.autoreset import without_lost
 from core.physics.engine import PhysicsState
 
 
