@@ -1,4 +1,4 @@
-"""A specification with its defaults filled in says all of the job, and is a job itself."""
+"""A resolved specification: its defaults filled in are a job again, and a model rules out engines."""
 
 from datetime import UTC, datetime
 from typing import Any
@@ -7,13 +7,16 @@ import pytest
 
 from core.algorithms.catalog import ALGORITHMS
 from core.environments import catalog
+from core.environments.mjcf.info import MjcfOptions
+from core.environments.mjcf.inventory import Sensor
 from core.errors import Rejected
 from core.jobs.checks import check
 from core.jobs.job import Attempt, Job
-from core.jobs.resolved import filled_in
+from core.jobs.resolved import engines_that_cannot, filled_in
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import JobStore
 from core.jobs.submission import completed
+from tests.contract.test_job_store import DESCRIPTION
 
 NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
 OURS = [
@@ -78,3 +81,26 @@ def test_a_job_whose_model_was_deleted_keeps_what_was_sent(jobs: JobStore) -> No
     whole = filled_in(job(environment={"id": "mjcf", "options": options}, algorithm={}), jobs)
     assert whole["environment"] == {"id": "mjcf", "options": options}
     assert whole["algorithm"] == {"kind": "ppo"}
+
+
+SENSORS = [
+    Sensor(name="imu", type="force", size=3, beyond={"compiled": "its sensor 'imu' is of the kind force"}),
+    Sensor(name="angle", type="jointpos", size=1),
+]
+
+
+def test_a_sensor_counts_against_an_engine_where_the_job_reads_it() -> None:
+    """Issue 41: an explicit `compiled` was a 202 that failed as `bad_model`."""
+    inventory = DESCRIPTION.inventory.model_copy(update={"sensors": SENSORS})
+    described = DESCRIPTION.model_copy(update={"inventory": inventory})
+
+    def cannot(observation: list[dict[str, object]]) -> dict[str, str]:
+        options = MjcfOptions.model_validate({"model": f"sha256:{'0' * 64}", "observation": observation})
+        return dict(engines_that_cannot(described, options))
+
+    assert cannot([{"kind": "qpos"}]) == {"mjx": "No."}
+    assert cannot([{"kind": "sensors", "names": ["angle"]}]) == {"mjx": "No."}
+    for reads in ({"kind": "sensors", "names": ["imu"]}, {"kind": "sensors"}):
+        assert cannot([reads])["compiled"].startswith(
+            "The engine 'compiled' cannot run the model: its sensor 'imu' is of the kind force."
+        )
