@@ -106,7 +106,8 @@ def _returns(card: Card) -> str:
     """The return in one line of characters, and its last value."""
     if not card.returns:
         return ""
-    return f"<p>return {sparkline(card.returns)} {card.returns[-1]:,.4g}</p>"
+    last = card.returns[-1]
+    return f"<p>return {sparkline(card.returns)} {f'{last:,.1f}' if abs(last) >= 100 else f'{last:.4g}'}</p>"
 
 
 def _video(job: "JobView", video: bytes | None) -> str:
