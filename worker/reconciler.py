@@ -89,10 +89,10 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
     store, queue, objects = job_store(settings), job_queue(settings), object_store(settings)
     every_s = settings.reconcile_every.total_seconds()
     return [
-        Chore("jobs", every_s, Reconciler(store, queue, settings.lease).look),
+        Chore("jobs", every_s, Reconciler(store, queue, settings.lease).run_once),
         Chore("feeds", every_s, partial(feeds.compact, store=store, objects=objects)),
-        Chore("sweeps", every_s, SweepController(store, queue, objects).look),
-        Chore("messages", 10 * every_s, StrayMessages(queue).look),
+        Chore("sweeps", every_s, SweepController(store, queue, objects).run_once),
+        Chore("messages", 10 * every_s, StrayMessages(queue).run_once),
         Chore("record", _TIDY_EVERY_S, store.tidy),
         Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
         Chore("deletions", _DELETIONS_EVERY_S, partial(end_deletions, store=store, objects=objects)),

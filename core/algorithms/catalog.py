@@ -28,7 +28,7 @@ def _default_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> 
     if not isinstance(value, Mapping) or "kind" in value:
         return parse(value)
     spec = parse({**value, "kind": DEFAULT_ALGORITHM})
-    spec.model_fields_set.discard("kind")  # What a client leaves out stays out (decision 2).
+    spec.model_fields_set.discard("kind")  # A field that a client leaves out stays out (decision 2).
     return spec
 
 

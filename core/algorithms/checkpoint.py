@@ -80,7 +80,7 @@ class Format:
 
 
 def describe(environment: Environment, settings: BaseSpec) -> dict[str, Any]:
-    """What a checkpoint and the run that resumes from it must have in common."""
+    """The facts that a checkpoint and the run that resumes from it must have in common."""
     sizes = {"observation_size": environment.observation_size, "action_size": environment.action_size}
     return sizes | {name: _plain(getattr(settings, name)) for name in settings.fixed_by_checkpoint}
 

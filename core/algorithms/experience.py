@@ -41,7 +41,7 @@ class Starts:
 
 @struct.dataclass
 class Outcome:
-    """What happened at each of T steps in N environments; arrays [T, N].
+    """The experience of T steps in N environments; arrays [T, N].
 
     fell: 1 where the episode ended, though not by its length. lost: of these, 1 where the body's state was
     lost (`without_lost`). effort: mean square of the action's components. metrics: the environment's own, by

@@ -23,7 +23,7 @@ Triple = tuple[Any, Any, Any]
 
 @dataclass(frozen=True)
 class PolicyConfig:
-    """What inference needs besides a policy's parameters: the hyperparameters of these names."""
+    """The hyperparameters of these names, which inference needs besides a policy's parameters."""
 
     activation: str = "swish"
     policy_obs_key: str = "state"

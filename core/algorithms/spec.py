@@ -112,7 +112,7 @@ class EpsilonSchedule(Strict):
     shape: EpsilonShape = "linear"
 
     def problems(self, num_decisions: int, *ends: float | None) -> list[Problem]:
-        """What is wrong with it in a run of this number of decisions; ends: other values of start and end
+        """Its fault in a run of this number of decisions; ends: other values of start and end
         that a part of the run takes."""
         problems = list[Problem]()
         if self.decay_decisions is not None and self.decay_decisions > num_decisions:

@@ -1,4 +1,4 @@
-"""What our environments share: a model, an engine that steps it, and its sizes."""
+"""The base of our environments: a model, an engine that steps it, and its sizes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

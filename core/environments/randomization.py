@@ -1,4 +1,4 @@
-"""What a job may vary between environments; imports no numerical code, so that the API can check it."""
+"""The physics that a job may vary between environments; without numerical code, so that the API checks it."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args

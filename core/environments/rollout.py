@@ -47,7 +47,7 @@ def zero_policy(action_size: int) -> Policy:
 
 @dataclass(frozen=True)
 class _Row:
-    """What is kept of several steps; arrays [steps, envs, ...]."""
+    """The record of several steps; arrays [steps, envs, ...]."""
 
     qpos: NDArray[np.float32]
     qvel: NDArray[np.float32]
@@ -150,8 +150,8 @@ def initial_positions(
 def footage(
     roller: Roller, parameters: Any, key: jax.Array, *, dt: float, seconds: float, num_at_once: int = 1
 ) -> list[Episode]:
-    """What a video of `seconds` shows: one episode and, where it ends early, the next ones; or several at
-    the same time, `num_at_once`."""
+    """A video of `seconds` shows one episode and, where it ends early, the next ones; or `num_at_once` at the
+    same time."""
     most = max(1, round(seconds / dt))
     number = None if num_at_once == 1 else num_at_once
     return filmed(

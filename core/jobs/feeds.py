@@ -76,7 +76,7 @@ def read_page(
         found += taken
         if len(taken) == _MAX_ENTRIES:  # It may have more.
             last, is_end = min(last, int(taken[-1].id)), False
-        if number < len(part.chunks):  # What comes before the next chunk is known.
+        if number < len(part.chunks):  # The entries before the next chunk are known.
             page = _page(found, part.status, min(last, part.chunks[number].first - 1), is_end=False)
             if len(page.entries) >= limit:
                 return page
@@ -212,7 +212,7 @@ def _metrics_chunk(job_id: str, store: JobStore, objects: ObjectStore) -> Chunk 
     return _stored(job_id, "metrics", block.first, block.last, block.encode(), objects, is_block=True)
 
 
-def _stored(  # noqa: PLR0913 # What makes a chunk, and where it goes.
+def _stored(  # noqa: PLR0913 # the parts of a chunk, and its place
     job_id: str,
     channel: Channel,
     first: int,

@@ -25,7 +25,7 @@ _MOST_SET_ASIDE = 10_000
 
 
 class Reconciler:
-    """Checks unfinished work; call `look` every second or two.
+    """Checks unfinished work; call `run_once` every second or two.
 
     lease: how long a silent worker keeps its job.
     """
@@ -37,7 +37,7 @@ class Reconciler:
         self._missing: Set[Dispatch] = frozenset()
         self._unreadable: set[tuple[str, int]] = set()
 
-    def look(self) -> int:
+    def run_once(self) -> int:
         """Returns the number of repairs. Raises RecordsUnavailable.
 
         Takes held jobs whose lease has run out back from their workers. Hands over what waits and the queue
@@ -124,7 +124,7 @@ class StrayMessages:
         self._queue = queue
         self._seen: Set[str] = frozenset()
 
-    def look(self) -> int:
+    def run_once(self) -> int:
         """Returns how many were dropped. Raises RecordsUnavailable."""
         found = self._queue.strays()
         dropped = found & self._seen

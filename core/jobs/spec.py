@@ -103,7 +103,7 @@ CameraName = Annotated[str, Field(max_length=LONGEST_NAME)] | Annotated[int, Fie
 
 
 class VideoSpec(Strict):
-    """What the job's videos show, their size and their length."""
+    """The job's videos: their subjects, size and length."""
 
     camera: CameraName = Field(
         default="track", description="`track`, or a camera of the model by name or number."

@@ -57,7 +57,7 @@ class _Settled:
 
 
 class SweepController:
-    """Moves all sweeps on; call `look` every second or two."""
+    """Moves all sweeps on; call `run_once` every second or two."""
 
     def __init__(self, store: SweepStore, queue: JobQueue, objects: ObjectStore) -> None:
         self._store = store
@@ -67,7 +67,7 @@ class SweepController:
         self._curves: dict[str, Curves] = {}
         self._settled: dict[str, _Settled] = {}
 
-    def look(self) -> int:
+    def run_once(self) -> int:
         """Returns the number of decisions. Raises RecordsUnavailable, StorageUnavailable.
 
         Reads only the sweeps for which something has changed since they needed nothing.

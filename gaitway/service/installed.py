@@ -1,4 +1,4 @@
-"""What differs between a clone and the wheel, which has the service's packages aside, in `gaitway/_service`.
+"""The difference between a clone and the wheel, which has the service's packages in `gaitway/_service`.
 
 There, only processes of the service import `api`, `core` and `worker`: a user's own code may have modules of
 these names.

@@ -84,7 +84,7 @@ def test_a_submission_needs_nothing_but_the_record(stack: Stack, part: Literal["
     assert (answer.status_code, answer.json()["status"]) == (202, "queued")
     assert stack.store.get(answer.json()["id"]).status == JobStatus.QUEUED
     # What the queue was not told, the reconciler tells it.
-    Reconciler(stack.store, stack.queue, timedelta(seconds=15)).look()
+    Reconciler(stack.store, stack.queue, timedelta(seconds=15)).run_once()
     assert [(d.job_id, d.attempt) for d in stack.queue.waiting()] == [(answer.json()["id"], 1)]
 
 

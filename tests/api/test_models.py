@@ -181,7 +181,7 @@ def test_a_slow_validation_is_asked_for_elsewhere(stack: Stack, monkeypatch: pyt
     # Whatever the queue has lost is asked for again, at the second look that misses it.
     assert stack.queue.take_model() == model_id
     reconciler = Reconciler(stack.store, stack.queue, timedelta(seconds=15))
-    assert [reconciler.look(), reconciler.look()] == [0, 1]
+    assert [reconciler.run_once(), reconciler.run_once()] == [0, 1]
     assert stack.queue.contains_model(model_id)
 
 

@@ -205,7 +205,10 @@ class TestRQ:
         [stray] = queue.strays()
         assert job_of(stray) == JOB
         strays = StrayMessages(queue)
-        assert [strays.look(), strays.look()] == [0, 1]  # At the first look somebody may be taking it.
+        assert [strays.run_once(), strays.run_once()] == [
+            0,
+            1,
+        ]  # At the first look somebody may be taking it.
         assert [key for key in redis_client.keys("*") if stray.encode() in key] == []
         assert queue.contains_model(MODEL)
         assert queue.contains_preview(PREVIEW.id)

@@ -182,7 +182,7 @@ class Life(RuleBasedStateMachine):
     def the_reconciler_looks(self) -> None:
         with self.engine.begin() as connection:  # It has been looking all the time.
             connection.execute(text("UPDATE pulse SET beat_at = now(), quiet_until = now() - interval '1 s'"))
-        self.reconciler.look()
+        self.reconciler.run_once()
 
     @rule()
     def redis_is_emptied(self) -> None:

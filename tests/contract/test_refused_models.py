@@ -73,11 +73,11 @@ def test_a_model_that_waits_and_was_lost_is_queued_again(jobs: JobStore, objects
     waiting, queue = kept(jobs, objects, "validating", XML), MemoryJobQueue()
     kept(jobs, objects, "ready", b"another")
     reconciler = Reconciler(jobs, queue, timedelta(seconds=15))
-    reconciler.look()  # The queue had never heard of it.
+    reconciler.run_once()  # The queue had never heard of it.
     assert (queue.take_model(), queue.take_model()) == (waiting.id, None)
     # A worker that took it was killed: the queue does not know it any more.
     for _ in range(2):
-        reconciler.look()
+        reconciler.run_once()
     assert (queue.take_model(), queue.take_model()) == (waiting.id, None)
 
 

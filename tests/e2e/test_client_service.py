@@ -495,13 +495,13 @@ def test_sweeps_by_the_cli(stack: Stack, tmp_path: Path) -> None:
     assert submitted.exit_code == 0, submitted.output
     sweep_id = submitted.output.strip()
     controller = SweepController(stack.store, stack.queue, stack.objects)
-    controller.look()
+    controller.run_once()
     for number, trial in enumerate(stack.store.trials([sweep_id])[sweep_id]):
         attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
         progress = Progress(step=9, metrics={"eval/episode_reward": 10.0 * number})
         stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
         attempt.end()
-    controller.look()
+    controller.run_once()
     [listed] = json.loads(gaitway(stack, "sweeps", "--json").output)
     assert (listed["id"], listed["status"]) == (sweep_id, "succeeded")
     shown = gaitway(stack, "sweeps", "show", "last").output

@@ -135,7 +135,7 @@ class Watch:
     def _watch(self) -> None:
         while not self._over.wait(self._every_s):
             try:
-                self._reconciler.look()
+                self._reconciler.run_once()
             except Unavailable:
                 continue
             self.num_looks += 1

@@ -49,7 +49,7 @@ class Fleet:
 
     def wait_for(self, job: Job, status: JobStatus) -> Job:
         def has_come() -> bool:
-            self.reconciler.look()
+            self.reconciler.run_once()
             return self.store.get(job.id).status == status
 
         wait_until(has_come, 20)

@@ -99,13 +99,13 @@ class Service:
         """So often; and all else that it does."""
         for _ in range(times):
             try:
-                self.reconciler.look()
+                self.reconciler.run_once()
             except Unavailable:
-                self.reconciler.look()
+                self.reconciler.run_once()
             except Died:
                 self.processes["reconciler"] = self.real
                 self.reconciler = self._new_reconciler()
-                self.reconciler.look()
+                self.reconciler.run_once()
         self.insist("reconciler", lambda it: feeds.compact(store=it.store, objects=it.objects))
         self.insist("reconciler", lambda it: it.store.tidy())
         at_once = timedelta(0)
@@ -124,7 +124,7 @@ class Service:
                 return
             if (dispatch := self.real.queue.take()) is None:
                 self._lease_passes(job_id)
-                self.look(3)
+                self.run_once(3)
                 continue
             with suppress(LeaseLost):
                 self._attempt(dispatch, end)
@@ -235,21 +235,21 @@ def is_silent_at_first(service: Service, claim: Claim, through: Callable[[Callab
 def _whole_life(service: Service, end: End) -> str:
     job_id = service.submit()
     service.work(job_id, end)
-    service.look()
+    service.run_once()
     return job_id
 
 
 def is_cancelled_in_the_queue(service: Service) -> str:
     job_id = service.submit()
     service.cancel(job_id)
-    service.look()
+    service.run_once()
     return job_id
 
 
 def is_deleted(service: Service) -> str:
     job_id = _whole_life(service, completes)
     service.delete(job_id)
-    service.look()
+    service.run_once()
     return job_id
 
 

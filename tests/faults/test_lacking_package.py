@@ -65,11 +65,11 @@ def test_a_job_goes_to_the_worker_that_has_its_package(
         for _ in range(3):
             wait_until(lambda: not queue.contains(job.id, 1), 20)
             assert job_store.get(job.id) == job
-            wait_until(lambda: reconciler.look() == 1)
+            wait_until(lambda: reconciler.run_once() == 1)
         workers.enter_context(working(settings, "equipped", "succeeds"))
 
         def has_ended() -> bool:
-            reconciler.look()
+            reconciler.run_once()
             return job_store.get(job.id).status.is_final
 
         wait_until(has_ended, 20)

@@ -198,7 +198,7 @@ def test_a_silence_between_a_pulse_and_the_look_at_the_leases_costs_nobody_a_job
     service = Service(store)
     claim = service.claim(service.submit(), SHORT)
     reconciler = Reconciler(store, service.queue, SHORT)
-    reconciler.look()
+    reconciler.run_once()
     with psycopg.connect(url, autocommit=True) as connection:
         watch(store, Database(connection))
     store.renew(claim.job_id, claim.token, SHORT)
@@ -210,7 +210,7 @@ def test_a_silence_between_a_pulse_and_the_look_at_the_leases_costs_nobody_a_job
         return expired()
 
     monkeypatch.setattr(store, "expired", after_a_silence)
-    reconciler.look()
+    reconciler.run_once()
     assert store.renew(claim.job_id, claim.token, SHORT) == JobStatus.STARTING
 
 
@@ -365,7 +365,7 @@ class TestLostAnswers:
         assert [found.id for found in service.store.list(JobQuery()).jobs] == [job.id]
         # It is dispatched by the reconciler: who made it did not come to that.
         assert service.queue.waiting() == []
-        assert Reconciler(service.store, service.queue, LONG).look() == 1
+        assert Reconciler(service.store, service.queue, LONG).run_once() == 1
         assert [dispatch.job_id for dispatch in service.queue.waiting()] == [job.id]
 
     def test_a_deleted_job_is_not_found(self, service: Service, lost: LostAnswers) -> None:
@@ -393,9 +393,9 @@ class TestLostAnswers:
         monkeypatch.setattr(service.store, "take_back", and_lose_the_answer)
 
         with pytest.raises(RecordsUnavailable):
-            reconciler.look()
+            reconciler.run_once()
         assert service.queue.waiting() == []
-        assert reconciler.look() == 1
+        assert reconciler.run_once() == 1
         assert [(d.job_id, d.attempt) for d in service.queue.waiting()] == [(job.id, 2)]
         assert service.statuses(job) == ["starting", "queued"]
 

@@ -58,7 +58,7 @@ class Service:
 
     def look(self, times: int = 2) -> int:
         """How much was set right; what the queue forgot is handed over at the second look that misses it."""
-        return sum(self.reconciler.look() for _ in range(times))
+        return sum(self.reconciler.run_once() for _ in range(times))
 
     def events(self, job: Job) -> list[Entry]:
         return list(read_feed(job.id, "events", store=self.store, objects=self.objects))
@@ -93,9 +93,9 @@ def test_a_job_is_accepted_while_something_else_writes_into_redis(service: Servi
     assert service.store.get(job.id).status == JobStatus.QUEUED
     for _ in range(2):  # The reconciler says so at each look, and lives on.
         with pytest.raises(RecordsUnavailable, match="WRONGTYPE"):
-            service.reconciler.look()
+            service.reconciler.run_once()
     service.client.flushdb()  # As the sentence advises.
-    service.look()
+    service.run_once()
     assert service.queue.contains(job.id, 1)
 
 
@@ -114,7 +114,7 @@ def test_a_job_is_accepted_when_redis_refuses_it_in_words_that_nobody_knows(
         service.client.acl_deluser("guest")
     assert [line["event"] for line in said] == ["dispatch_failed"]
     assert service.store.undispatched() == [Dispatch("attempt", job.id, 1)]
-    service.look()
+    service.run_once()
     assert service.queue.contains(job.id, 1)
 
 
@@ -130,12 +130,12 @@ def statuses(service: Service, job: Job) -> list[str]:
 def test_every_job_that_was_accepted_is_dispatched_again_and_ends_once(service: Service) -> None:
     jobs = [service.submit() for _ in range(50)]
     service.client.flushall()
-    assert service.look(times=1) == 0  # A worker might be just taking them.
-    assert service.look(times=1) == 50
+    assert service.run_once(times=1) == 0  # A worker might be just taking them.
+    assert service.run_once(times=1) == 50
     service.worker.work()
     assert ended_once(service, jobs) == jobs
     assert service.worker.claimed == {job.id: 1 for job in jobs}
-    assert (service.look(), service.queue.known()) == (0, set())
+    assert (service.run_once(), service.queue.known()) == (0, set())
 
 
 @pytest.mark.extra
@@ -151,10 +151,10 @@ def test_jobs_end_once_each_however_often_redis_forgets_while_they_come_and_go(
             case "work":
                 service.worker.work(most=chance.randint(1, 3))
             case "look":
-                service.reconciler.look()
+                service.reconciler.run_once()
             case _:
                 service.client.flushall()
-    service.look()
+    service.run_once()
     service.worker.work()
     assert ended_once(service, jobs) == jobs
     assert service.worker.claimed == {job.id: 1 for job in jobs}
@@ -173,11 +173,11 @@ def test_nothing_changes_but_the_dispatch(service: Service) -> None:
     claims["given back"].give_back(Reason.WORKER_DRAINED, "The worker was shut down.")
     for name in ("cancelled", "cancelling"):
         cancel(jobs[name].id, store=service.store, queue=service.queue)
-    service.look()
+    service.run_once()
     before = {name: (service.store.get(job.id), service.events(job)) for name, job in jobs.items()}
 
     service.client.flushall()
-    assert service.look() == 2
+    assert service.run_once() == 2
     assert service.queue.known() == {(jobs["queued"].id, 1), (jobs["given back"].id, 2)}
     assert {name: (service.store.get(job.id), service.events(job)) for name, job in jobs.items()} == before
     # The attempts that hold their jobs do not even notice.
@@ -195,7 +195,7 @@ def test_a_restart_of_redis_loses_no_job(job_store: PostgresJobStore, own_valkey
         own_valkey.stop()
         own_valkey.start()
         assert client.keys() == []
-        assert service.look() == 5
+        assert service.run_once() == 5
         service.worker.work()
         assert ended_once(service, jobs) == jobs
 
@@ -207,7 +207,7 @@ def test_workers_at_an_old_redis_and_at_an_empty_new_one_do_no_job_twice(
     jobs = [service.submit() for _ in range(10)]
     with connect_redis(own_valkey.url) as client:
         moved = Service(service.store, client)
-        assert moved.look() == 10
+        assert moved.run_once() == 10
         moved.worker.work(most=4)
         service.worker.work()  # It was not told of the new address.
         moved.worker.work()
@@ -221,9 +221,9 @@ def test_what_is_submitted_while_redis_is_away_is_dispatched_when_it_is_back(
     jobs = [away.submit() for _ in range(3)]
     assert [away.store.get(job.id).status for job in jobs] == ["queued"] * 3
     with pytest.raises(RecordsUnavailable, match="Redis does not answer"):
-        away.look()
+        away.run_once()
     own_valkey.start()
-    assert away.look(times=1) == 3
+    assert away.run_once(times=1) == 3
     assert away.store.undispatched() == []
     away.worker.work()
     assert ended_once(away, jobs) == jobs
@@ -235,7 +235,7 @@ def test_a_cancel_needs_no_redis(away: Service, own_valkey: Valkey) -> None:
     for job, status in ((queued, "cancelled"), (running, "cancelling")):
         assert cancel(job.id, store=away.store, queue=away.queue).status == status
     own_valkey.start()
-    assert (away.look(), away.queue.known()) == (0, set())
+    assert (away.run_once(), away.queue.known()) == (0, set())
 
 
 def test_a_job_whose_worker_died_while_redis_was_away_is_dispatched_when_it_is_back(
@@ -246,10 +246,10 @@ def test_a_job_whose_worker_died_while_redis_was_away_is_dispatched_when_it_is_b
     watch(away.store, database)
     database.end_lease(job)
     with pytest.raises(RecordsUnavailable):
-        away.look(times=1)
+        away.run_once(times=1)
     assert away.store.get(job.id).status == JobStatus.QUEUED
     own_valkey.start()
-    assert away.look(times=1) == 1
+    assert away.run_once(times=1) == 1
     assert away.queue.known() == {(job.id, 2)}
 
 
@@ -277,7 +277,7 @@ def test_a_worker_ends_its_job_without_redis_and_takes_the_next_one_afterwards(
             wait_until(lambda: job_store.get(first.id).status.is_final, 30)
             if is_away:
                 own_valkey.start()
-            assert service.look() == 1
+            assert service.run_once() == 1
             wait_until(lambda: job_store.get(second.id).newest("checkpoint") is not None, 30)
             worker.send_signal(signal.SIGTERM)
             assert worker.wait(30) == 0
@@ -307,7 +307,7 @@ def test_a_worker_waits_for_a_full_redis_before_after_and_during_a_job(
                 with pytest.raises(subprocess.TimeoutExpired):
                     worker.wait(2)
                 with capture_logs() as logs:
-                    assert service.look() == 0
+                    assert service.run_once() == 0
                 assert {line["event"] for line in logs} == {"dispatch_postponed"}
                 client.config_set("maxmemory", 0)
                 wait_until(lambda: job_store.get(first.id).newest("checkpoint") is not None, 30)
@@ -315,7 +315,7 @@ def test_a_worker_waits_for_a_full_redis_before_after_and_during_a_job(
                 cancel(first.id, store=job_store, queue=service.queue)
                 wait_until(lambda: job_store.get(first.id).status.is_final, 30)
                 client.config_set("maxmemory", 0)
-                assert service.look() == 1
+                assert service.run_once() == 1
                 wait_until(lambda: job_store.get(second.id).newest("checkpoint") is not None, 30)
                 make_full(client)
                 worker.send_signal(signal.SIGTERM)
@@ -339,13 +339,13 @@ def test_a_message_whose_work_horse_a_full_redis_ended_is_taken_again_at_once(
         worker = GaitwayWorker(own, "cpu", job_store)
         message, queue = worker.dequeue_job_and_maintain_ttl(1)
         worker.prepare_execution(message)
-        assert service.look() == 0
+        assert service.run_once() == 0
         make_full(client)
         with pytest.raises(redis.exceptions.OutOfMemoryError):
             worker.handle_job_failure(message, queue)
         client.config_set("maxmemory", 0)
         worker.handle_job_failure(message, queue)
-        assert service.look() == 1
+        assert service.run_once() == 1
 
 
 def make_full(client: redis.Redis) -> None:

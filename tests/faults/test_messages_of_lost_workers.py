@@ -29,8 +29,8 @@ def test_the_message_goes_when_its_attempt_is_taken_back(
         secret=new_secret(),
     )
     reconciler = Reconciler(job_store, queue, LEASE)
-    reconciler.look()
+    reconciler.run_once()
     database.change("UPDATE jobs SET lease_until = now() - interval '1 s'")
     database.change("UPDATE pulse SET beat_at = now(), quiet_until = now() - interval '1 s'")
-    assert reconciler.look() >= 1
+    assert reconciler.run_once() >= 1
     assert redis_client.keys("rq:job:*") == [f"rq:job:{job.id}_2".encode()]

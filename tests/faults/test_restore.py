@@ -208,10 +208,10 @@ def test_a_database_and_a_bucket_that_was_saved_after_it_need_no_repair(
     with psycopg.connect(url, autocommit=True) as connection:
         database = Database(connection)
         database.pass_time(timedelta(days=1))
-        reconciler.look()  # The silence was too long to blame a worker for it.
+        reconciler.run_once()  # The silence was too long to blame a worker for it.
         assert store.get(claim.job_id).token == claim.token
         watch(store, database)
-        reconciler.look()
+        reconciler.run_once()
     job = store.get(claim.job_id)
     assert (job.status, steps(job)) == (JobStatus.QUEUED, [1])
     assert PlayedWorker(store, worker.objects).begin(job).number == 2

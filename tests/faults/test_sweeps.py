@@ -61,11 +61,11 @@ class Reconcilers:
     def look(self) -> None:
         with suppress(Unavailable):  # The next look does it again.
             try:
-                self._controller.look()
+                self._controller.run_once()
             except Died:
                 self._controller = self._of(self._real)
         if self._real.store.undispatched():
-            self._reconciler.look()
+            self._reconciler.run_once()
 
 
 def train(real: Process, claim: Claim, job: Job) -> None:
@@ -130,7 +130,7 @@ def live(real: Process, crash: Crash, spec: SweepSpec = SPEC, train: Train = tra
     sweep = submit_sweep(spec, store=real.store)
     reconcilers = Reconcilers(real, crash)
     for _ in range(60):
-        reconcilers.look()
+        reconcilers.run_once()
         work(real, train)
         if real.store.get_sweep(sweep.id).status.is_final:
             return sweep.id
@@ -197,7 +197,7 @@ def test_reconcilers_side_by_side_start_every_trial_once(real: Process) -> None:
     def reconcile() -> None:
         controller = SweepController(real.store, real.queue, real.objects)
         while not is_over.wait(0.001):
-            controller.look()
+            controller.run_once()
 
     with ThreadPoolExecutor(3) as pool:
         looking = [pool.submit(reconcile) for _ in range(2)]
@@ -227,18 +227,18 @@ def test_what_runs_is_pruned_and_keeps_its_values(real: Process) -> None:
     sweep = submit_sweep(spec, store=real.store)
     reconcilers = Reconcilers(real, Crash())
     for _ in range(2):
-        reconcilers.look()
+        reconcilers.run_once()
         work(real)
-    reconcilers.look()
+    reconcilers.run_once()
     claim, job_id = claimed(real)
     entry = Entry(kind="metrics", time=real.store.now(), data={"step": 100, "values": {METRIC: 1.0}})
     progress = Progress(step=100, total=1000, metrics={METRIC: 1.0})
     real.store.record(job_id, claim.token, "events", [entry], progress, write_id="w")
-    reconcilers.look()
+    reconcilers.run_once()
     assert real.store.get(job_id).status == JobStatus.CANCELLING
     claim.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "It was cancelled.")
-    reconcilers.look()
-    reconcilers.look()
+    reconcilers.run_once()
+    reconcilers.run_once()
     last = real.store.trials([sweep.id])[sweep.id][-1]
     assert (last.outcome, last.values, last.steps) == ("pruned", (1.0,), 100)
     assert real.store.get_sweep(sweep.id).message == "Every combination was tried: 2 succeeded, 1 pruned."
@@ -256,13 +256,13 @@ def claimed(real: Process) -> Any:
 def test_a_cancelled_sweep_ends_with_all_its_jobs_whichever_write_fails(real: Process) -> None:
     def cancelled(crash: Crash) -> str:
         sweep = submit_sweep(SPEC, store=real.store)
-        Reconcilers(real, Crash()).look()
+        Reconcilers(real, Crash()).run_once()
         cancel_sweep(sweep.id, store=real.store)
         reconcilers = Reconcilers(real, crash)
         for _ in range(20):
             if real.store.get_sweep(sweep.id).status.is_final:
                 return sweep.id
-            reconcilers.look()
+            reconcilers.run_once()
         raise AssertionError("The sweep does not come to its end.")
 
     cancelled(counted := Crash())
@@ -285,7 +285,7 @@ def test_a_bug_in_one_sweep_stops_no_other(real: Process, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(real.store, "add_trial", break_down)
     with suppress(Unavailable):
-        SweepController(real.store, real.queue, real.objects).look()
+        SweepController(real.store, real.queue, real.objects).run_once()
     assert list(real.store.trials([bad.id, good.id])) == [good.id]
 
 
@@ -305,18 +305,18 @@ def test_a_sweep_for_which_nothing_has_changed_is_not_read_again(
         return trials(sweep_ids)
 
     monkeypatch.setattr(job_store, "trials", noted)
-    assert [controller.look() for _ in range(4)] == [2, 0, 0, 0]
+    assert [controller.run_once() for _ in range(4)] == [2, 0, 0, 0]
     assert read == [[sweep.id], [sweep.id], [], []]
     dispatch = queue.take()
     assert dispatch is not None
     assert claim_of(Process(job_store, objects, queue), dispatch) is not None
-    controller.look()
+    controller.run_once()
     assert read[4] == [sweep.id]
     another = SweepController(job_store, queue, objects)
     read.clear()
     cancel_sweep(sweep.id, store=job_store)
     for one in (controller, another):
-        one.look()
+        one.run_once()
     assert read == [[sweep.id]] * 2
 
 
@@ -326,12 +326,12 @@ def test_the_curves_of_an_ended_sweep_are_forgotten(job_store: PostgresJobStore)
     spec = spec_of(parameters={"seed": [1, 3]}, pruning={"kind": "median", "warmup_steps": 10})
     controller = SweepController(job_store, MemoryJobQueue(), MemoryObjectStore())
     sweep = submit_sweep(spec, store=job_store)
-    controller.look()
-    controller.look()
+    controller.run_once()
+    controller.run_once()
     assert list(controller._curves) == [sweep.id]
     cancel_sweep(sweep.id, store=job_store)
     for _ in range(3):
-        controller.look()
+        controller.run_once()
     assert job_store.get_sweep(sweep.id).status == SweepStatus.CANCELLED
     assert (controller._curves, controller._settled) == ({}, {})
 

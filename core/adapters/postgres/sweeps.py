@@ -166,7 +166,7 @@ def _add(
     values |= {"key_hash": key_hash, "fingerprint": idempotency.fingerprint}
     new = insert(sweeps).values(values).on_conflict_do_nothing(index_elements=["key_hash"])
     if connection.execute(new.returning(sweeps.c.id)).first() is not None:
-        _check_room(most_active, has_room=has_room)  # What was inserted is rolled back.
+        _check_room(most_active, has_room=has_room)  # The insertion is rolled back.
         return sweep
     row = connection.execute(select(sweeps).where(sweeps.c.key_hash == key_hash)).first()
     if row is None:  # It was deleted between the two statements.

@@ -54,7 +54,7 @@ def read_policy(content: bytes) -> tuple[Parameters, Mapping[str, Any]]:
 
 
 def make_choose(facts: Mapping[str, Any], *, deterministic: bool = True) -> Choose:
-    """What a policy of these facts chooses; pure, to be jitted by the caller."""
+    """The choice of a policy of these facts; pure, to be jitted by the caller."""
     sizes = tuple(facts["hidden_layer_sizes"])
     network = QNetwork(facts["num_parts"], facts["num_choices"], sizes, facts["activation"])
     normalize = normalization(facts["normalize_observations_max_abs_value"])
@@ -70,7 +70,7 @@ def make_choose(facts: Mapping[str, Any], *, deterministic: bool = True) -> Choo
 
 
 def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
-    """What a checkpoint or a policy file holds, ready to act. Raises JobFailed if it is damaged."""
+    """The policy of a checkpoint or a policy file, ready to act. Raises JobFailed if it is damaged."""
     parameters, facts = read_policy(content)
     choose = make_choose(facts, deterministic=deterministic)
     options = _ACTION_SET.validate_python(facts["action_set"])

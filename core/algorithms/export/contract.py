@@ -1,4 +1,4 @@
-"""What an exported policy's numbers mean: which observation it takes, which action it gives, how often."""
+"""The meaning of an exported policy's numbers: its observation, its action, and how often it acts."""
 
 import json
 from collections.abc import Mapping, Sequence

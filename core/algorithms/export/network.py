@@ -1,4 +1,4 @@
-"""What a policy file holds, as the numbers of one network."""
+"""A policy file as the numbers of one network."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

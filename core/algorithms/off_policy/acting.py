@@ -24,7 +24,7 @@ from core.environments.wrappers.vectorized import VectorEnv
 
 
 class Experience(NamedTuple):
-    """What a run has seen: statistics of all observations, the transitions that are kept, and where each
+    """The experience of a run: statistics of all observations, the transitions that are kept, and where each
     environment is in its episode."""
 
     normalizer: RunningStatisticsState
@@ -33,7 +33,7 @@ class Experience(NamedTuple):
 
 
 class Acted(NamedTuple):
-    """What one update's acting brought. enough: [] bool, whether there are transitions to learn from."""
+    """The result of one update's acting. enough: [] bool, whether there are transitions to learn from."""
 
     transitions: Transition
     outcome: Outcome

@@ -37,7 +37,7 @@ def make_inference(params: PolicyParams | Triple, *, deterministic: bool = True)
 
 
 def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
-    """What a checkpoint or a policy file holds, ready to act. Raises JobFailed if it is damaged."""
+    """The policy of a checkpoint or a policy file, ready to act. Raises JobFailed if it is damaged."""
     params = policy_from_checkpoint(content) if is_checkpoint else read_policy(content)
 
     def answer(params: PolicyParams, observation: Any, key: jax.Array) -> jax.Array:

@@ -97,7 +97,7 @@ def _of_the_states(
 def problems_of_the_actions(
     action_set: ActionSetOptions | None, environment: EnvironmentInfo, why: str
 ) -> list[Problem]:
-    """What is wrong with the action set in this environment. why: what the algorithm has in place of
+    """The fault of the action set in this environment. why: what the algorithm has in place of
     continuous actions, for one that is missing."""
     size = environment.action_size
     if action_set is None:

@@ -116,7 +116,7 @@ def _check_needs(options: DiskPositionGrid | ObservationGrid, environment: Envir
         raise JobFailed(Reason.BAD_MODEL, detail)
 
 
-# What the environment below keeps in `State.info`, besides what is there.
+# The environment below keeps these in `State.info`, too.
 _OBSERVATION = "inner_observation"
 
 

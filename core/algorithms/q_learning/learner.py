@@ -40,7 +40,7 @@ from core.environments.wrappers.vectorized import VectorEnv
 from core.errors import Rejected
 from core.physics.engine import OVERFLOW
 
-# What is looked at in each round, in the order in which one spoils the next.
+# Each round checks these, in the order in which one spoils the next.
 QUANTITIES = ("observation", "reward", "table")
 # Larger than any number that a key is split into: the first of these are the tables' and the rounds' keys.
 _OF_EVALUATIONS = 0x6576616C
@@ -95,7 +95,7 @@ class TrainingState:
 
 
 class _Learning(NamedTuple):
-    """What one agent carries from decision to decision."""
+    """The state of one agent from decision to decision."""
 
     table: jax.Array
     visits: jax.Array

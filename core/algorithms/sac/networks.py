@@ -100,7 +100,7 @@ class Networks:
     def values(
         self, q: Any, observation: Float[Array, "B obs"], action: Float[Array, "B act"]
     ) -> Float[Array, "2 B"]:
-        """What each critic expects."""
+        """The return that each critic expects."""
         return jax.nn.softmax(self.critics.logits(q, observation, action)) @ self.atoms
 
     def acting(self, policy: Any, normalize: Callable[[Any], Any], *, deterministic: bool = False) -> Policy:

@@ -54,7 +54,7 @@ def make_inference(params: PolicyParams, *, deterministic: bool = True) -> Infer
 
 
 def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
-    """What a checkpoint or a policy file holds, ready to act. Raises JobFailed if it is damaged."""
+    """The policy of a checkpoint or a policy file, ready to act. Raises JobFailed if it is damaged."""
     params = _from_checkpoint(content) if is_checkpoint else policy_file.read_policy(content)
 
     def answer(params: PolicyParams, observation: Any, key: jax.Array) -> jax.Array:

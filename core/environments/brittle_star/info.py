@@ -87,7 +87,7 @@ def _of_joints(options: Options) -> Iterator[Slice]:
 
 
 def _of_a_generator(options: Options) -> Iterator[Slice]:
-    """What oscillators tend to, in the order of `cpg.encoding`; 1 is the end of an actuator's range."""
+    """The targets of oscillators, in the order of `cpg.encoding`; 1 is the end of an actuator's range."""
     cpg, arms = options.cpg, range(options.num_arms)
     oscillators = [f"arm {arm} {plane}" for arm in arms for plane in ("in plane", "out of plane")]
     after = [(arm + 1) % options.num_arms for arm in arms]
@@ -190,7 +190,7 @@ def _cannot_run(options: Options) -> Mapping[EngineName, str]:
 
 
 def _beyond_compiled(options: Options) -> str | None:
-    """What the engine `compiled` lacks."""
+    """The reason why the engine `compiled` cannot run it."""
     num_segments = sum(options.segments)
     # Rows of the disk, of each segment's limits and points, and of their contacts with the walls.
     rows = 26 + 14 * num_segments + (94 + 48 * num_segments if options.walls == "contacts" else 0)

@@ -33,7 +33,7 @@ Observable = BodyObservable | TargetObservable | LightObservable
 
 BODY_OBSERVABLES: tuple[BodyObservable, ...] = get_args(BodyObservable)
 TARGET_OBSERVABLES: tuple[TargetObservable, ...] = get_args(TargetObservable)
-# What a State's `info` holds about the target.
+# A State's `info` holds these about the target.
 OF_THE_WAY = ("target_position", "xy_direction_to_target", "xy_distance_to_target")
 LIGHT_OBSERVABLES: tuple[LightObservable, ...] = get_args(LightObservable)
 # Engines compute these only for the observation.

@@ -77,7 +77,7 @@ _TARGET_HEIGHT_M = 0.05
 
 @struct.dataclass
 class Measured:
-    """What a task measures in a state. potential: []; a step's reward is its growth.
+    """The measurements of a task in a state. potential: []; a step's reward is its growth.
 
     done: [], 1 where the task is done. observables: arrays [n] by biorobot's names. info, metrics: what the
     task adds to a State's.
@@ -97,7 +97,7 @@ class Task(Protocol):
         ...
 
     def draw(self, key: jax.Array) -> Named:
-        """What stays the same for an episode; it is kept in the State's info."""
+        """The values that stay the same for an episode; they are kept in the State's info."""
         ...
 
     def measure(self, physics: PhysicsState, drawn: Named) -> Measured: ...

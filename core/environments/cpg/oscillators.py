@@ -34,7 +34,7 @@ class Oscillators:
 
 @struct.dataclass
 class Modulation:
-    """What a controller sets and the oscillators then tend to.
+    """The values that a controller sets and the oscillators then tend to.
 
     amplitudes (R of the paper), offsets (X): [..., n]. frequencies (ω): [..., n] in rad/s, or [..., 1] for
     one that all share. phase_biases (φ_ij): [..., n, n], by how much j should be ahead of i; read only where

@@ -76,7 +76,7 @@ def along_edges(matrix: jax.Array) -> jax.Array:
 
 
 class Role(IntEnum):
-    """What an arm does. Left and right are as seen from above, in the direction of the walk; arms are
+    """The role of an arm. Left and right are as seen from above, in the direction of the walk; arms are
     numbered counter-clockwise. The notebook swaps the two names."""
 
     LEADING = 0
@@ -177,7 +177,7 @@ def _alternating(in_plane: jax.Array, out_of_plane: jax.Array) -> jax.Array:
 
 
 class Bounds(Protocol):
-    """What the ends of an action mean: amplitudes lie in [0, max_amplitude], offsets in ± max_offset, both in
+    """The meaning of an action's ends: amplitudes lie in [0, max_amplitude], offsets in ± max_offset, both in
     the unit of the output, and the frequency that all oscillators share in [0, max_frequency] rad/s."""
 
     @property

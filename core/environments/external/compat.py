@@ -1,4 +1,4 @@
-"""What environments of other packages share; they bring their own reset and step."""
+"""The common part of environments of other packages, which bring their own reset and step."""
 
 from typing import Any
 

@@ -32,7 +32,7 @@ _KNOWN_ENDINGS = (".xml", ".urdf")
 # The longest name that every file system accepts.
 _MAX_NAME_BYTES = 255
 _ZIP = b"PK\x03\x04"
-# What zipfile raises for a file that is not a zip, or is damaged.
+# zipfile raises these for a file that is not a zip, or is damaged.
 _BROKEN = (zipfile.BadZipFile, EOFError, OSError, RuntimeError, ValueError)
 _LITTER = ("__MACOSX", ".DS_Store")
 

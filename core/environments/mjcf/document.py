@@ -37,7 +37,7 @@ class _Refused(Exception):
 
 
 def parse(name: str, body: bytes) -> Document:
-    """What the document names. Raises BadModel if it is not XML, or declares a type or entities.
+    """The names in the document. Raises BadModel if it is not XML, or declares a type or entities.
 
     Without a document type only XML's own five entities exist, so nothing can be expanded.
     """

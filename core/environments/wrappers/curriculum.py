@@ -16,7 +16,7 @@ from core.environments.environment import Environment, Wrapped
 
 @runtime_checkable
 class HasCurriculum(Protocol):
-    """What an environment has besides its own methods."""
+    """The attributes of an environment besides its own methods."""
 
     @property
     def curriculum_steps(self) -> int | None:

@@ -27,11 +27,11 @@ def ended(stack: Stack) -> dict[str, Any]:
     }
     found = stack.http.post("/sweeps", json=said).json()
     controller = SweepController(stack.store, stack.queue, stack.objects)
-    controller.look()
+    controller.run_once()
     for trial in stack.store.trials([found["id"]])[found["id"]]:
         Attempt(stack, stack.store.get(trial.job or ""), is_new=False).end(JobStatus.FAILED, Reason.DIVERGED)
-    controller.look()
-    controller.look()
+    controller.run_once()
+    controller.run_once()
     return stack.http.get(found["links"]["self"]).json()
 
 
@@ -61,7 +61,7 @@ def test_an_ended_sweep_is_resumed_under_another_budget(
     page.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Yes, cancel").click()
     expect(page.get_by_text("cancelling").first).to_be_visible()
-    SweepController(stack.store, stack.queue, stack.objects).look()
+    SweepController(stack.store, stack.queue, stack.objects).run_once()
     expect(page.get_by_text("Resume under another budget")).to_be_visible()
 
 

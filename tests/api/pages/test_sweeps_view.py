@@ -37,7 +37,7 @@ def sweep(stack: Stack) -> dict[str, Any]:
     """Twelve trials: nine succeeded, one failed, one runs, one waits."""
     found = stack.http.post("/sweeps", json=SWEEP).json()
     controller = SweepController(stack.store, stack.queue, stack.objects)
-    controller.look()
+    controller.run_once()
     for number, trial in enumerate(stack.store.trials([found["id"]])[found["id"]][:11]):
         attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
         value = 100.0 * (number // 4) + 7 * (number % 4)
@@ -48,7 +48,7 @@ def sweep(stack: Stack) -> dict[str, Any]:
             attempt.end()
         elif number == 9:
             attempt.end(JobStatus.FAILED, Reason.DIVERGED)
-    controller.look()
+    controller.run_once()
     return found
 
 
@@ -95,7 +95,7 @@ def test_of_several_objectives_one_is_chosen_and_the_front_is_marked(stack: Stac
         progress = Progress(step=1000, total=1000, metrics=values)
         stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
         attempt.end()
-    controller.look()
+    controller.run_once()
     for width, dark in ((1280, False), (380, True)):
         tab = make_tab(width, dark)
         page = tab.open(f"#/sweeps/{sweep['id']}")
@@ -143,14 +143,14 @@ def test_a_population_shows_generations_and_parents(stack: Stack, tab: Tab) -> N
     }
     found = stack.http.post("/sweeps", json=population).json()
     controller = SweepController(stack.store, stack.queue, stack.objects)
-    controller.look()
+    controller.run_once()
     for trial in stack.store.trials([found["id"]])[found["id"]]:
         attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
         progress = Progress(step=5, total=5, metrics={METRIC: float(trial.number)})
         stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
         attempt.keep("checkpoint-5", role="checkpoint", step=5)
         attempt.end()
-    controller.look()
+    controller.run_once()
     page = tab.open(f"#/sweeps/{found['id']}")
     rows = page.get_by_role("region", name="Trials").get_by_role("row")
     expect(rows).to_have_count(5)
@@ -169,7 +169,7 @@ def test_a_population_shows_generations_and_parents(stack: Stack, tab: Tab) -> N
 def begun(stack: Stack, **changes: Any) -> tuple[dict[str, Any], SweepController]:
     found = stack.http.post("/sweeps", json=SWEEP | changes).json()
     controller = SweepController(stack.store, stack.queue, stack.objects)
-    controller.look()
+    controller.run_once()
     return found, controller
 
 
@@ -195,7 +195,7 @@ def test_each_trial_shows_its_curve_and_its_video(stack: Stack, make_tab: MakeTa
     second = train(stack, trials[1])
     second.keep("poster-1000.png", poster, role="poster", media_type="image/png", step=1000)
     second.end()
-    controller.look()
+    controller.run_once()
     for width in (1280, 380):
         tab = make_tab(width)
         page = tab.open(f"#/sweeps/{sweep['id']}")
@@ -231,7 +231,7 @@ def test_seeds_that_one_job_trains_are_a_band(stack: Stack, make_tab: MakeTab) -
             progress = Progress(step=1000, total=1000, metrics={METRIC: 15.0})
             stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
             attempt.end()
-        controller.look()
+        controller.run_once()
         tab = make_tab()
         page = tab.open(f"#/sweeps/{sweep['id']}")
         groups = page.get_by_role("region", name="Seeds of one setting together")
@@ -245,11 +245,11 @@ def test_seeds_that_one_job_trains_are_a_band(stack: Stack, make_tab: MakeTab) -
 def test_of_many_trials_those_in_sight_load_their_curves(stack: Stack, tab: Tab) -> None:
     sweep, controller = begun(stack, parameters={"seed": list(range(200))}, budget={"parallel": 100})
     for _ in range(2):
-        controller.look()
+        controller.run_once()
         for trial in stack.store.trials([sweep["id"]])[sweep["id"]]:
             if trial.outcome is None:
                 train(stack, trial).end()
-    controller.look()
+    controller.run_once()
     asked = list[str]()
     tab.page.on("request", lambda request: asked.append(request.url))
     page = tab.open(f"#/sweeps/{sweep['id']}")

@@ -85,7 +85,7 @@ class Service:
     def reconcile(self) -> int:
         """A look of a reconciler that has been looking all the time."""
         self.have_watched()
-        return self.reconciler.look()
+        return self.reconciler.run_once()
 
     def have_watched(self) -> None:
         """As if a reconciler had been looking all the time."""
@@ -547,7 +547,7 @@ def test_after_a_silence_of_the_reconciler_an_attempt_has_a_lease_to_speak(servi
     service.wait(100)
     # Nobody looked meanwhile, or the record was away: the attempt could not have renewed its lease.
     service.fall_silent(LEASE)
-    assert service.reconciler.look() == 0
+    assert service.reconciler.run_once() == 0
     claim.store.renew(job.id, claim.token, LEASE)
     assert service.reconcile() == 0
     assert claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "").status == JobStatus.SUCCEEDED
@@ -564,7 +564,7 @@ def test_two_reconcilers_at_once_take_a_job_back_once(service: Service) -> None:
 
     def look(reconciler: Reconciler) -> None:
         together.wait()
-        reconciler.look()
+        reconciler.run_once()
 
     with ThreadPoolExecutor(2) as pool:
         for done in [pool.submit(look, one) for one in (service.reconciler, another)]:

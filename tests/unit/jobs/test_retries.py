@@ -35,7 +35,7 @@ class Service:
     def dispatched(self) -> list[Dispatch]:
         """After two looks: at the second, the queue has forgotten what it does not know."""
         for _ in range(2):
-            self.reconciler.look()
+            self.reconciler.run_once()
         return list(self.queue.waiting())
 
     def set_clock(self, seconds: float) -> None:

@@ -23,7 +23,7 @@ STANDING_HEIGHT_M = 0.047
 
 
 class RodentOptions(RunnerOptions):
-    """What a run may change about the rodent, its reward and its physics."""
+    """The options of the rodent, its reward and its physics."""
 
     terminate_when_unhealthy: bool = Field(
         True, description="false: an unhealthy step only loses the healthy reward."
