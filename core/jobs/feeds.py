@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from itertools import islice
 
 import structlog
 
@@ -28,6 +27,8 @@ MAX_AGE = timedelta(minutes=10)
 MAX_METRICS_BYTES = 2**20
 _MAX_ENTRIES = 2000
 _MAX_CHUNK_BYTES = 2**20
+# A page of a stream is encoded at once. An entry counts as one value.
+_MAX_VALUES = 2**14
 PAGE = 1000
 
 
@@ -64,7 +65,7 @@ def read_pages(
 def read_page(
     job_id: str, channel: Channel, after: int, limit: int, *, store: JobStore, objects: ObjectStore
 ) -> FeedPage:
-    """At least `limit` entries after number `after`, if there are that many. limit: `_MAX_ENTRIES` at most.
+    """At least `limit` entries after number `after`, if there are that many; fewer where they are long.
 
     A `note` replaces a part that the object store has lost or cannot give whole, and says so.
     Raises JobNotFound, RecordsUnavailable, StorageUnavailable.
@@ -72,10 +73,15 @@ def read_page(
     part = store.feed(job_id, channel, after=after, limit=limit)
     found, last, is_end = list(part.entries), part.last, part.is_end
     for number, chunk in enumerate(part.chunks, 1):
-        taken = list(islice(_entries_of(chunk, after, job_id, store, objects), _MAX_ENTRIES))
-        found += taken
-        if len(taken) == _MAX_ENTRIES:  # It may have more.
-            last, is_end = min(last, int(taken[-1].id)), False
+        if chunk.first > last:
+            break
+        size = 0
+        for entry in _entries_of(chunk, after, job_id, store, objects):
+            found.append(entry)
+            size += 1 + len(entry.data.get("values", ()))
+            if size > _MAX_VALUES:  # The chunk may have more.
+                last, is_end = min(last, int(entry.id)), False
+                break
         if number < len(part.chunks):  # The entries before the next chunk are known.
             page = _page(found, part.status, min(last, part.chunks[number].first - 1), is_end=False)
             if len(page.entries) >= limit:

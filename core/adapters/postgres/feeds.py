@@ -109,9 +109,9 @@ _READ = text(f"""
             WHERE job_id = :job_id AND channel = :channel AND number > :after ORDER BY number LIMIT :limit
         ) AS found
     ) AS behind CROSS JOIN LATERAL (
-        SELECT count(*) AS num_blocks, max(last) FILTER (WHERE bytes_before < :bytes) AS last_measured,
-            array_agg(first ORDER BY first) FILTER (WHERE bytes_before < :bytes) AS firsts,
-            array_agg(block ORDER BY first) FILTER (WHERE bytes_before < :bytes) AS blocks
+        SELECT count(*) AS num_blocks, max(last) FILTER (WHERE bytes_before < :block_bytes) AS last_measured,
+            array_agg(first ORDER BY first) FILTER (WHERE bytes_before < :block_bytes) AS firsts,
+            array_agg(block ORDER BY first) FILTER (WHERE bytes_before < :block_bytes) AS blocks
         FROM (
             SELECT first, last, block, {_bytes_before("block", "first")} FROM metrics
             WHERE job_id = :job_id AND 'metrics' = ANY(CAST(:channels AS text[])) AND last > :after
@@ -134,6 +134,8 @@ _OLDEST_METRICS = text(f"""
 # A reader gets a few chunks at a time; each is a request to the object store.
 _MAX_CHUNKS = 4
 _AT_ONCE = {"chunks": _MAX_CHUNKS + 1, "bytes": 2**20}
+# Of a stream, which has each row as an entry; and of the metrics alone.
+_STREAM_BYTES, _BLOCK_BYTES = 2**17, 2**20
 _MAX_BLOCKS = 2000
 _MAX_DUE = 200
 # Appending one batch takes a fraction of a call's time limit.
@@ -218,7 +220,8 @@ class Feeds(Session):
                 raise LeaseLost(job_id)
 
     def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
-        found = self._read(job_id, [channel, "metrics"] if channel == "events" else [channel], after, limit)
+        channels: list[Channel] = [channel, "metrics"] if channel == "events" else [channel]
+        found = self._read(job_id, channels, after, limit, _STREAM_BYTES)
         said = [_entry_of(*entry) for entry in found.entries]
         for first, block in found.blocks:
             said += metrics_entries(Block.decode(block, first).after(after))
@@ -229,20 +232,15 @@ class Feeds(Session):
         return FeedPart(found.chunks, said, found.status, last, is_end)
 
     def feed_metrics(self, job_id: str, *, after: int = 0) -> MetricsPart:
-        found = self._read(job_id, ["metrics"], after, _MAX_BLOCKS)
+        found = self._read(job_id, ["metrics"], after, _MAX_BLOCKS, _BLOCK_BYTES)
         blocks = [(first, block) for first, block in found.blocks if first <= found.last]
         return MetricsPart(found.chunks, blocks, found.last, found.is_end)
 
-    def _read(self, job_id: str, channels: list[Channel], after: int, limit: int) -> _Found:
-        asked = {
-            "job_id": job_id,
-            "channel": channels[0],
-            "channels": channels,
-            "after": after,
-            "limit": limit,
-        }
+    def _read(self, job_id: str, channels: list[Channel], after: int, limit: int, block_bytes: int) -> _Found:
+        asked = {"job_id": job_id, "channel": channels[0], "channels": channels, "after": after}
+        asked |= {"limit": limit, "block_bytes": block_bytes, **_AT_ONCE}
         with self._statements() as connection:
-            row = connection.execute(_READ, {**asked, **_AT_ONCE}).first()
+            row = connection.execute(_READ, asked).first()
         if row is None:
             raise JobNotFound(job_id[:64])
         return _Found(row, max(after, row.num_logs if channels == ["logs"] else row.num_events), limit)

@@ -67,6 +67,7 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(feeds, "MAX_BYTES", 1)
     monkeypatch.setattr(feeds, "MAX_METRICS_BYTES", 1)
     monkeypatch.setattr(feeds, "_MAX_ENTRIES", 3)
+    monkeypatch.setattr(feeds, "_MAX_VALUES", 4)  # A page ends within a chunk.
 
 
 @pytest.fixture
