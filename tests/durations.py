@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 BUDGETS: dict[str, float] = {
-    "e2e": 240,
+    "e2e": 180,
     "unit/environments": 150,
     "unit/worker": 140,
     "learning": 140,
@@ -31,7 +31,7 @@ BUDGETS: dict[str, float] = {
     "contract": 100,
     "unit/rendering": 60,
     "unit/embedded": 60,
-    "unit/gaitway": 50,
+    "unit/gaitway": 60,
     "unit/jobs": 40,
     "architecture": 30,
     "unit": 30,

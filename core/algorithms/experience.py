@@ -198,8 +198,10 @@ def epsilon_greedy(values: Float[Array, "*N choices"], epsilon: Scalar, key: jax
     return jnp.where(explores, any_choice, greedy(values))
 
 
-def decayed(start: Scalar, end: Scalar, share: Scalar, shape: EpsilonShape) -> Float[Array, ""]:
-    """Epsilon after this share of its decay, which ends at 1: from `start` to `end`."""
+def decayed(
+    start: Float[Array, "*#A"] | float, end: Float[Array, "*#A"] | float, share: Scalar, shape: EpsilonShape
+) -> Float[Array, "*#A"]:
+    """Epsilon after this share of its decay, which ends at 1: from `start` to `end`, for each agent A."""
     share = jnp.clip(share, 0.0, 1.0)
     if shape == "linear":
         return start + (end - start) * share

@@ -35,7 +35,7 @@ SWEEP = {
 @pytest.fixture
 def look(stack: Stack) -> Callable[[], int]:
     """The reconciler's part, once."""
-    return SweepController(stack.store, stack.queue, stack.objects).look
+    return SweepController(stack.store, stack.queue, stack.objects).run_once
 
 
 def train(stack: Stack, trial: dict[str, Any], value: float, *, until: int, keeps: bool = True) -> Attempt:

@@ -33,7 +33,7 @@ GRID = {
 @pytest.fixture
 def look(stack: Stack) -> Callable[[], int]:
     """The reconciler's part, once."""
-    return SweepController(stack.store, stack.queue, stack.objects).look
+    return SweepController(stack.store, stack.queue, stack.objects).run_once
 
 
 def finish(

@@ -439,7 +439,7 @@ SWEEP = {
 
 
 def test_a_sweep_is_started_watched_cancelled_resumed_and_deleted(client: Client, stack: Stack) -> None:
-    look = SweepController(stack.store, stack.queue, stack.objects).look
+    look = SweepController(stack.store, stack.queue, stack.objects).run_once
     sweep = client.sweep(SWEEP, budget={"parallel": 1})
     assert (sweep.status, sweep.is_final, sweep.metrics) == ("running", False, ["eval/episode_reward"])
     look()
@@ -468,7 +468,7 @@ def test_the_cli_shows_from_which_trial_another_one_resumed(stack: Stack, tmp_pa
     population = {"size": 2, "generations": 2}
     file.write_text(json.dumps({"job": job, "method": "pbt", "parameters": axes, "population": population}))
     sweep_id = gaitway(stack, "sweep", str(file)).output.strip()
-    look = SweepController(stack.store, stack.queue, stack.objects).look
+    look = SweepController(stack.store, stack.queue, stack.objects).run_once
     look()
     for trial in stack.store.trials([sweep_id])[sweep_id]:
         attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)

@@ -209,7 +209,7 @@ def _sweeps(stack: Stack, client: Either) -> None:
     assert client.sweep(spec, idempotency_key="s", **asked).id == sweep.id
     assert [found.id for found in client.sweeps()] == [sweep.id]
     assert [found.id for found in client.sweeps(limit=1, status="running")] == [sweep.id]
-    look = SweepController(stack.store, stack.queue, stack.objects).look
+    look = SweepController(stack.store, stack.queue, stack.objects).run_once
     look()
     assert len(client.get_sweep(sweep.id).trials) == 2
     with pytest.raises(WaitTimeout):

@@ -95,7 +95,7 @@ class Service:
 
     # ---- the reconciler -----------------------------------------------------------------------------
 
-    def look(self, times: int = 1) -> None:
+    def run_once(self, times: int = 1) -> None:
         """So often; and all else that it does."""
         for _ in range(times):
             try:

@@ -56,7 +56,7 @@ class Service:
         assert claim is not None
         return claim
 
-    def look(self, times: int = 2) -> int:
+    def run_once(self, times: int = 2) -> int:
         """How much was set right; what the queue forgot is handed over at the second look that misses it."""
         return sum(self.reconciler.run_once() for _ in range(times))
 

@@ -58,7 +58,7 @@ class Reconcilers:
     def _of(it: Process) -> SweepController:
         return SweepController(it.store, it.queue, it.objects)
 
-    def look(self) -> None:
+    def run_once(self) -> None:
         with suppress(Unavailable):  # The next look does it again.
             try:
                 self._controller.run_once()

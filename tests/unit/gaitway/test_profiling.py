@@ -66,6 +66,7 @@ def test_an_algorithm_without_such_parts_has_no_rows_of_them() -> None:
     assert [*rows(None)] == ["compile", "first update", "3 updates", "one evaluation", "other", "total"]
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_training_is_profiled_and_traced(job: Path, tmp_path: Path) -> None:
     endless = ("--set", "algorithm.num_timesteps=1000000000", "--epochs", "1", "--trace", str(tmp_path / "t"))
