@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from core.algorithms.checkpoint import Format
 from core.algorithms.evaluation import EpisodeTotals
+from core.algorithms.lost_body import LostBody
 from core.algorithms.sharding import Sharding
 
 
@@ -28,11 +29,13 @@ class Failure(NamedTuple):
     """Which of an algorithm's `quantities` were not finite in an update, and where.
 
     quantities: [len(quantities)] bool. time_step: [] int32, the first of the update's time steps at which one
-    was not finite; the number of time steps if none was, or if it appeared after them.
+    was not finite; the number of time steps if none was, or if it appeared after them. lost: the first body
+    that the update lost; None of an algorithm that does not tell.
     """
 
     quantities: jax.Array
     time_step: jax.Array
+    lost: LostBody | None = None
 
 
 class RunSettings(Protocol):

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.evaluation import EpisodeTotals
 from core.algorithms.events import Phase
+from core.algorithms.lost_body import earlier
 from core.compilation import compiled_side_by_side
 from core.environments.wrappers.vectorized import ENVS
 
@@ -21,38 +22,34 @@ class _Counted(Protocol):
     def num_updates(self) -> jax.Array: ...
 
 
-class _Failure(Protocol):
-    @property
-    def quantities(self) -> jax.Array: ...
-
-
 Counted = TypeVar("Counted", bound=_Counted)
 Hyper = TypeVar("Hyper")
-Failed = TypeVar("Failed", bound=_Failure)
 
 
 def updates_until(
-    update: Callable[[Counted, Hyper], tuple[Counted, dict[str, jax.Array], Failed]],
+    update: Callable[[Counted, Hyper], tuple[Counted, dict[str, jax.Array], Failure]],
     state: Counted,
     hyperparameters: Hyper,
     until: jax.Array,
-) -> tuple[Counted, dict[str, jax.Array], Failed]:
+) -> tuple[Counted, dict[str, jax.Array], Failure]:
     """Update until `until` [] int32 updates are made, or one of them gives a value that is not finite.
 
     update: from a state and hyperparameters to the next state, its metrics, and which of its quantities were
     not finite. Returns the state after the last good update, metrics summed over the good ones, and what went
-    wrong in the bad one. The result of a run does not depend on how it is cut into epochs.
+    wrong in the bad one, with the first body that any of them lost. The result of a run does not depend on
+    how it is cut into epochs.
     """
     # Traced once for both uses below, and inlined as if the second had traced it, too.
     once = jax.jit(update, inline=True)
 
-    def going(carry: tuple[Counted, Any, Failed]) -> jax.Array:
+    def going(carry: tuple[Counted, Any, Failure]) -> jax.Array:
         state, _, failure = carry
         return (state.num_updates < until) & ~jnp.any(failure.quantities)
 
-    def advance(carry: tuple[Counted, Any, Failed]) -> tuple[Counted, Any, Failed]:
-        state, sums, _ = carry
+    def advance(carry: tuple[Counted, Any, Failure]) -> tuple[Counted, Any, Failure]:
+        state, sums, before = carry
         new, metrics, failure = once(state, hyperparameters)
+        failure = failure._replace(lost=earlier(before.lost, failure.lost, state.num_updates))
         good = ~jnp.any(failure.quantities)
         keep = partial(jax.tree.map, lambda a, b: jnp.where(good, a, b))
         return keep(new, state), keep(jax.tree.map(jnp.add, sums, metrics), sums), failure

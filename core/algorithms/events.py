@@ -1,8 +1,12 @@
-"""The events that a run yields to its caller: see `core.algorithms.run.Run`, and `SeedsRun` for the last."""
+"""The events that a run yields to its caller: see `Run.events` and, for SeedDiverged, `SeedsRun.events`."""
 
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from core.algorithms.lost_body import LostBody, Steps
 
 
 def metric_of_seed(seed: int, name: str) -> str:
@@ -67,4 +71,24 @@ class SeedDiverged:
     detail: str
 
 
-Event = Phase | Progress | Evaluating | Evaluated | CheckpointReady | SeedDiverged
+@dataclass(frozen=True)
+class BodyLost:
+    """The run's first body whose state was lost, at environment step `step`; once in a run.
+
+    env: its environment. steps: those of its episode in the same update, arrays [T, ...] on the host; the
+    last one's action lost it. seed: in a run of several seeds.
+    """
+
+    step: int
+    env: int
+    steps: "Steps"
+    seed: int | None = None
+
+    @classmethod
+    def of(cls, lost: "LostBody", per_update: int, per_time_step: int, seed: int | None = None) -> Self:
+        """lost: on the host. per_update, per_time_step: environment steps."""
+        step = int(lost.update) * per_update + int(lost.time_step) * per_time_step
+        return cls(step, int(lost.env), lost.of_the_episode(), seed)
+
+
+Event = Phase | Progress | Evaluating | Evaluated | CheckpointReady | SeedDiverged | BodyLost

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import Transition
 from core.algorithms.evaluation import Policy, clearly_named
+from core.algorithms.lost_body import Steps, first_lost
 from core.algorithms.spec import EpsilonShape
 from core.environments.body_position import body_position
 from core.environments.environment import State
@@ -46,7 +47,7 @@ class Outcome:
     fell: 1 where the episode ended, though not by its length. lost: of these, 1 where the body's state was
     lost (`without_lost`). effort: mean square of the action's components. metrics: the environment's own, by
     name, and its body's position. overflow: 1 where the engine lost contacts, not known of an episode's last
-    step; None if the engine cannot lose any.
+    step; None if the engine cannot lose any. steps: for the last states of a lost body.
     """
 
     reward: PerStep
@@ -57,6 +58,7 @@ class Outcome:
     effort: PerStep
     metrics: Mapping[str, PerStep]
     overflow: PerStep | None
+    steps: Steps | None = None
 
 
 def collect(
@@ -97,6 +99,7 @@ def collect(
             effort=jnp.mean(jnp.square(action), axis=-1),
             metrics={**where(reached.physics), **reached.metrics},
             overflow=after.state.physics.derived.get(OVERFLOW),
+            steps=Steps.of(episodes.state, action, after.state.reward, after.state.done),
         )
         return after, (transition, outcome)
 
@@ -219,7 +222,8 @@ def find_failure(next_observation: Any, outcome: Outcome, learnt: Sequence[jax.A
     bad_reward = ~jnp.all(jnp.isfinite(outcome.reward), axis=1)
     bad = bad_obs | bad_reward
     first = jnp.where(jnp.any(bad), jnp.argmax(bad), len(bad)).astype(jnp.int32)
-    return Failure(jnp.stack([jnp.any(bad_obs), jnp.any(bad_reward), *learnt]), first)
+    lost = None if outcome.steps is None else first_lost(outcome.steps, outcome.lost)
+    return Failure(jnp.stack([jnp.any(bad_obs), jnp.any(bad_reward), *learnt]), first, lost)
 
 
 def any_not_finite(tree: Any) -> jax.Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from core.algorithms.algorithm import Algorithm, Failure, RunSettings, S
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.compiled_functions import CompiledFunctions, in_phases, place, trace
-from core.algorithms.events import CheckpointReady, Evaluated, Evaluating, Event, Phase, Progress
+from core.algorithms.events import BodyLost, CheckpointReady, Evaluated, Evaluating, Event, Phase, Progress
 from core.algorithms.profiling import UpdateTimes, update_times
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
@@ -74,6 +74,8 @@ class Run(Generic[S]):
         self._loop = Loop.of(algorithm.settings, checkpoint_every_steps, epoch_s)
         self._state: S | None = None
         self._functions: CompiledFunctions[S] | None = None
+        self._lost: BodyLost | None = None
+        self._has_told_lost = False
         if resume is not None:
             self._restore(resume)
 
@@ -88,13 +90,22 @@ class Run(Generic[S]):
         return self._loop.total
 
     def events(self) -> Generator[Event]:
-        """Train to the end of the budget: Phase trace and compile, then the events of `Loop.events`.
+        """Train to the end of the budget: Phase trace and compile, then the events of `Loop.events`, and
+        BodyLost before the first one after that.
 
         Raises JobFailed("diverged") at a value that is not finite; `checkpoint()` is then the state before
         the update that gave it; after a bad evaluation, the state that was evaluated.
         """
         self._functions = functions = yield from self._prepare()
-        yield from self._loop.events(partial(self._train, functions), partial(self._evaluate, functions))
+        try:
+            for event in self._loop.events(
+                partial(self._train, functions), partial(self._evaluate, functions)
+            ):
+                yield from self._newly_lost()
+                yield event
+        except JobFailed:
+            yield from self._newly_lost()
+            raise
 
     def evaluate(self, seed: int) -> dict[str, float]:
         """The metrics of episodes with other starts than the run's own evaluations have.
@@ -157,9 +168,22 @@ class Run(Generic[S]):
         self._state = state
         failure = jax.device_get(failure)
         before, self._loop.updates = self._loop.updates, int(state.num_updates)
+        self._see(failure)
         if failure.quantities.any():
             raise diverged(self._algorithm, failure, self.step)
         return self._algorithm.training_metrics(state, jax.device_get(sums), self._loop.updates - before)
+
+    def _see(self, failure: Failure) -> None:
+        """Remember the first body that the run has lost. failure: on the host."""
+        lost, algorithm = failure.lost, self._algorithm
+        if self._lost is None and lost is not None and lost.found:
+            per_update = algorithm.settings.env_steps_per_update
+            self._lost = BodyLost.of(lost, per_update, algorithm.env_steps_per_time_step)
+
+    def _newly_lost(self) -> Generator[Event]:
+        if self._lost is not None and not self._has_told_lost:
+            self._has_told_lost = True
+            yield self._lost
 
     def _evaluate(self, functions: CompiledFunctions[S]) -> dict[str, float]:
         state = self._begun

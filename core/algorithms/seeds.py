@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from core.algorithms.algorithm import Algorithm, S
+from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.compiled_functions import CompiledFunctions, in_phases, trace_seeds
-from core.algorithms.events import Event, SeedDiverged, metric_of_seed
+from core.algorithms.events import BodyLost, Event, SeedDiverged, metric_of_seed
 from core.algorithms.run import Loop, check_finite, diverged
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
@@ -70,7 +70,8 @@ class SeedsRun(Generic[S]):
         self._state: S | None = None
         self._updates = np.zeros(len(self._seeds), np.int32)
         self._is_live = np.ones(len(self._seeds), bool)
-        self._to_tell: list[SeedDiverged] = []
+        self._to_tell: list[Event] = []
+        self._has_lost = False
         if resume is not None:
             self._restore(resume)
 
@@ -102,10 +103,10 @@ class SeedsRun(Generic[S]):
             for event in self._loop.events(
                 partial(self._train, functions), partial(self._evaluate, functions)
             ):
-                yield from self._newly_diverged()
+                yield from self._news()
                 yield event
         except JobFailed:
-            yield from self._newly_diverged()
+            yield from self._news()
             raise
 
     def checkpoint(self) -> bytes:
@@ -144,6 +145,7 @@ class SeedsRun(Generic[S]):
         wanted = np.where(self._is_live, until, self._updates).astype(np.int32)
         self._state, sums, failure = functions.epoch(self._begun, self._hyperparameters, wanted)
         sums, failure, self._updates = jax.device_get((sums, failure, self._state.num_updates))
+        self._see(failure)
 
         def metrics_of(row: int) -> dict[str, float]:
             if failure.quantities[row].any():
@@ -156,6 +158,15 @@ class SeedsRun(Generic[S]):
             return self._metrics(metrics_of)
         finally:
             self._loop.updates = int(self._updates.max())
+
+    def _see(self, failure: Failure) -> None:
+        """Tell of the first body that a seed has lost, once. failure: on the host."""
+        lost, algorithm = failure.lost, self._algorithm
+        if lost is None or self._has_lost or not (rows := np.flatnonzero(lost.found & self._is_live)).size:
+            return
+        row, self._has_lost = int(rows[0]), True
+        per_update, per_step = algorithm.settings.env_steps_per_update, algorithm.env_steps_per_time_step
+        self._to_tell.append(BodyLost.of(_row(row, lost), per_update, per_step, self._seeds[row]))
 
     def _evaluate(self, functions: CompiledFunctions[S]) -> dict[str, float]:
         state = self._begun
@@ -184,7 +195,7 @@ class SeedsRun(Generic[S]):
                 facts: dict[str, Any] = {**failed.facts}
                 self._to_tell.append(SeedDiverged(seed, facts["step"], facts["quantity"], failed.detail))
         if not by_seed:
-            last = self._to_tell[-1]
+            last = cast("SeedDiverged", self._to_tell[-1])
             detail = f"Every seed has diverged, seed {last.seed} as the last: {last.detail}"
             raise JobFailed(Reason.DIVERGED, detail, step=last.step, quantity=last.quantity)
         names = dict.fromkeys(name for metrics in by_seed.values() for name in metrics)
@@ -197,7 +208,7 @@ class SeedsRun(Generic[S]):
             for name, value in metrics.items()
         }
 
-    def _newly_diverged(self) -> Sequence[SeedDiverged]:
+    def _news(self) -> Sequence[Event]:
         newly, self._to_tell = self._to_tell, []
         return newly
 

@@ -27,6 +27,7 @@ ArtifactRole = Literal[
     "trajectory",
     "scene",
     "replay",
+    "lost_body",
     "simulation",
     "summary",
     "metrics",

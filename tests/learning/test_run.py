@@ -10,7 +10,7 @@ import pytest
 
 from core.algorithms.checkpoint import Format
 from core.algorithms.dqn.policy import FORMAT as DQN_FORMAT
-from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.algorithms.events import BodyLost, CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.ppo.learner import FORMAT as PPO_FORMAT
 from core.algorithms.run import Run
 from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
@@ -139,8 +139,16 @@ def test_a_run_that_diverges_names_step_and_quantity_and_keeps_the_last_good_sta
 def test_a_body_that_is_lost_ends_its_episode_and_not_the_run() -> None:
     # Two of the first 32 bodies have a number below 0.04, and are lost in the second update.
     run = small_run(probes.losing(share=0.04, after=20), episode_length=1000, epoch_s=0.0)
-    told = [event.metrics for event in run.events() if isinstance(event, Progress)]
+    events = list(run.events())
+    told = [event.metrics for event in events if isinstance(event, Progress)]
     assert [metrics["training/lost_bodies"] for metrics in told[:3]] == [0.0, 2 / STEPS_PER_UPDATE, 0.0]
+    # One of them is told of, before the update's metrics: its 21st action is the update's 5th.
+    [lost] = [event for event in events if isinstance(event, BodyLost)]
+    assert isinstance(before := events[events.index(lost) + 1], Progress)
+    assert before.step == 2 * STEPS_PER_UPDATE
+    assert lost.step == STEPS_PER_UPDATE + 4 * 32
+    assert lost.steps.reward.tolist() == [1.0, 1.0, 1.0, 1.0, 0.0]
+    assert lost.steps.action.shape == (5, 1)
     assert len(told) == 20_480 / STEPS_PER_UPDATE
     assert all(math.isfinite(value) for metrics in told for value in metrics.values())
 
@@ -149,9 +157,13 @@ def test_a_body_that_is_lost_ends_its_episode_and_not_the_run() -> None:
 def test_a_run_that_loses_every_body_has_diverged(case: Case) -> None:
     step = 5 * case.num_envs
     run = case.begin(probes.losing(share=1.0, after=5), episode_length=1000, epoch_s=1000.0)
+    told: list[Event] = []
     with pytest.raises(JobFailed, match=f"observation became non-finite at environment step {step}"):
-        list(run.events())
+        told.extend(run.events())
     assert run.step == step // case.update * case.update
+    # All are lost by their 6th action; the first one's is told of, though its update is not kept.
+    assert isinstance(told[-1], BodyLost)
+    assert (told[-1].step, told[-1].env) == (step, 0)
 
 
 @pytest.mark.extra

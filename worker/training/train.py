@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from core.algorithms.events import (
+    BodyLost,
     CheckpointReady,
     Evaluated,
     Evaluating,
@@ -29,6 +30,7 @@ from worker.protocol import Advanced, Measured, Noted, PhaseBegan, PhaseEnded, T
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.exports import ExportWriter
+from worker.training.lost_body import keep_lost_body
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
 from worker.training.policy_files import PolicyFiles
@@ -65,7 +67,10 @@ def train(
     run, policies = begin_or_resume(task, spec, settings, built, events)
     files = PolicyFiles(policies, ExportWriter(settings.algorithm(), built), task.best)
     videos = None if spec.video is None else PolicyVideos(spec.video, built, policies)
-    return _follow(run, files, videos, spec, events, stopping)
+    held = getattr(settings, "action_repeat", 1)  # Q-learning, which lacks it, tells of no lost body.
+    keep_lost = partial(keep_lost_body, built=built, action_repeat=held, events=events)
+    report = Report(events, run, spec.checkpoints.every_seconds, keep_lost)
+    return _follow(run, files, videos, spec, report, stopping)
 
 
 class FollowedRun(Protocol):
@@ -89,11 +94,10 @@ def _follow(  # the run, and its receivers
     files: PolicyFiles,
     videos: PolicyVideos | None,
     spec: TrainSpec,
-    events: EventWriter,
+    report: "Report",
     stopping: StopRequest,
 ) -> bool:
     """Turn the run's events into messages and files; see `train`."""
-    report = Report(events, run, spec.checkpoints.every_seconds)
     report.enter("compiling")
     try:
         with closing(run.events()) as told:
@@ -122,7 +126,7 @@ def _follow(  # the run, and its receivers
     with stopping.nothing_to_keep():
         files.keep_best()
         files.keep_last()
-        with _tables(run, spec, events):
+        with _tables(run, spec, report.events):
             if videos:
                 report.enter("drawing")
                 videos.take("video")
@@ -181,6 +185,7 @@ class Report:
     events: EventWriter
     run: FollowedRun
     checkpoint_every_s: float = float("inf")
+    keep_lost: Callable[[BodyLost], None] = lambda _: None
     _kept_step: int | None = None
     _kept_at: float = field(default_factory=time.monotonic)
     _warned_of: set[str] = field(default_factory=set[str])
@@ -209,6 +214,8 @@ class Report:
                 self._measured(step, metrics, self.run.total)
             case CheckpointReady():
                 self.keep_checkpoint()
+            case BodyLost():
+                self.keep_lost(event)
             case SeedDiverged(seed=seed, detail=detail):
                 self.events.send(Noted(text=f"Seed {seed} has diverged and is trained no further. {detail}"))
 

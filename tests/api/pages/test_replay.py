@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -220,6 +221,30 @@ def test_the_newest_checkpoint_is_shown_as_soon_as_it_is_there(
     attempt.say("artifact", name="replay-300.bin")
     expect(page.get_by_text("Policy at step 100 (1 of 3)")).to_be_visible()
     expect(page.get_by_role("img", name="at step 100")).to_be_visible()
+
+
+@pytest.mark.extra
+def test_the_last_states_of_a_lost_body_are_a_replay_of_their_own(
+    tab: Tab, attempt: Attempt, scene: bytes
+) -> None:
+    keep(attempt, scene, 100)
+    # The update lost it at its first step: there is a single state.
+    target = None if MOTION.target is None else MOTION.target[:1]
+    last = replace(MOTION, time=MOTION.time[:1], qpos=MOTION.qpos[:1], target=target)
+    facts = {"num_steps": 0, "duration_s": 0.0, "terminated": True}
+    attempt.keep(
+        "replay-lost.bin",
+        replay_of(MODEL, [last], [np.zeros(0)], [facts], 2),
+        role="replay",
+        media_type="application/octet-stream",
+        step=150,
+        metadata={"lost_body": True},
+    )
+    page = drawn(tab.open(f"#/jobs/{attempt.id}/replay"))
+    expect(page.get_by_text("A body that was lost at step 150 (2 of 2)")).to_be_visible()
+    expect(page.get_by_text("0.00 s of 0.00 s")).to_be_visible()
+    page.get_by_role("slider", name="Checkpoint").fill("0")
+    expect(page.get_by_text("Policy at step 100 (1 of 2)")).to_be_visible()
 
 
 @pytest.mark.extra

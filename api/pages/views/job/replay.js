@@ -85,10 +85,13 @@ function Loaded({ job, files, file, query, isAlone }) {
       setOption=${setOption} onPause=${(time) => change({ t: time.toFixed(2) }, true)}>
       <${Episodes} about=${shown.about} chosen=${wanted} isBeside=${isBeside} />
     <//>
-    ${isAlone ? html`<p class="facts">The policy${at(file.step)}</p>` : html`<${Steps} files=${files} file=${file} />`}
+    ${isAlone ? html`<p class="facts">${subject(file, "The policy")}${at(file.step)}</p>` : html`<${Steps} files=${files} file=${file} />`}
     ${canPush(job) && html`<p><a href="#/jobs/${job.id}/push">Push it, and see whether it recovers</a></p>`}
   `;
 }
+
+/** A training keeps the last states of the first body that an engine lost, too. */
+const subject = (file, policy) => (file.metadata.lost_body ? "A body that was lost" : policy);
 
 const at = (step) => (step === null ? "" : ` at step ${count(step)}`);
 
@@ -144,7 +147,7 @@ function Steps({ files, file }) {
     change({ step: next === files.length - 1 ? [] : String(files[next].step) }, true);
   };
   return html`<label class="slider">
-    <span class="facts">Policy${at(file.step)} (${place + 1} of ${files.length})</span>
+    <span class="facts">${subject(file, "Policy")}${at(file.step)} (${place + 1} of ${files.length})</span>
     <input type="range" min="0" max=${files.length - 1} value=${place} onInput=${choose} aria-label="Checkpoint" aria-valuetext="step ${count(file.step ?? 0)}" />
   </label>`;
 }
