@@ -13,8 +13,6 @@ import psycopg
 import pytest
 import redis
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres import schema
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
@@ -31,6 +29,7 @@ from gaitway.service.embedded.valkey import Valkey
 from gaitway.service.embedded.weed import Weed
 from gaitway.service.embedded.weed_environment import REGION
 from tests.compiling import compile_quickly, compiling_quickly
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.kept_programs import forget_old_programs, keep_programs
 from tests.memory_folder import memory_folder
 

@@ -18,8 +18,6 @@ from fastapi import FastAPI
 from api.app import create_app
 from api.dependencies import Service
 from api.main import Server, listen
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobFinished, RecordsUnavailable, StorageUnavailable, Unavailable
@@ -31,6 +29,7 @@ from core.jobs.store import Channel, Entry, JobQuery
 from core.reasons import Reason
 from core.settings import ApiSettings
 from core.storage import keys
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 
 NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
 

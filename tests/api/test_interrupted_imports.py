@@ -7,7 +7,6 @@ from typing import Any
 import httpx
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs import feeds
 from core.jobs.orphans import sweep
@@ -16,6 +15,7 @@ from core.storage import keys
 from tests.api.conftest import ARTIFACT, Stack
 from tests.api.exports import bring, changed, edit
 from tests.api.problems import problem
+from tests.in_memory import MemoryObjectStore
 
 
 def test_a_key_makes_one_job_of_several_requests(stack: Stack, exported: bytes) -> None:

@@ -17,12 +17,12 @@ import httpx
 import pytest
 
 from api.sharing.export import Member, zip_stream
-from core.adapters.memory.objects import MemoryObjectStore
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.storage import keys
 from core.user_models.record import ModelRecord
 from tests.api.conftest import ARTIFACT, NOON, Attempt, Stack, job
+from tests.in_memory import MemoryObjectStore
 
 EVIL = '<img src=x onerror="alert(1)"> & </script>'
 

@@ -10,7 +10,6 @@ from rq import Queue, SimpleWorker
 from rq.job import Job as RQJob
 from rq.serializers import JSONSerializer
 
-from core.adapters.memory.queue import Dispatch, MemoryJobQueue
 from core.adapters.rq.queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_of
 from core.adapters.wiring import connect_redis
 from core.errors import RecordsUnavailable
@@ -18,6 +17,7 @@ from core.jobs.queue import JobQueue, queue_names
 from core.jobs.reconciliation import StrayMessages
 from core.previews.record import PreviewRequest
 from gaitway.service.embedded.valkey import Valkey
+from tests.in_memory import Dispatch, MemoryJobQueue
 
 JOB = "019aa3c2f0b1-5be0c1d2e3"
 MODEL = "sha256:" + "0" * 64

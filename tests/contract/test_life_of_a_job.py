@@ -12,8 +12,6 @@ from hypothesis import settings, strategies
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 from sqlalchemy import Engine, text
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobFinished, JobNotFinished, JobNotFound, LeaseLost
@@ -28,6 +26,7 @@ from core.jobs.store import Entry
 from core.jobs.submission import submit
 from core.reasons import Reason
 from tests.feeds import read_feed
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 
 LEASE = timedelta(minutes=5)
 SPEC = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", "max_attempts": 3})

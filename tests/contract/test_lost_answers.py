@@ -9,7 +9,6 @@ from typing import Any
 import psycopg
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobExists, JobNotFound, LeaseLost, RecordsUnavailable, StaleJob
@@ -36,6 +35,7 @@ from tests.contract.recording import (
     watch,
     worker,
 )
+from tests.in_memory import MemoryObjectStore
 
 
 class Unsure:

@@ -3,13 +3,13 @@
 import hashlib
 from pathlib import Path
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.attempts import Claim
 from core.physics.availability import BodySize
 from core.storage import keys
 from tests.contract.recording import held, model, queued_job
 from tests.contract.test_job_store import DESCRIPTION
+from tests.in_memory import MemoryObjectStore
 from worker.protocol import Task
 from worker.supervision.starting_point import write_task
 

@@ -5,7 +5,6 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import update
 
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.tables import models
 from core.errors import ModelNotFound
@@ -15,6 +14,7 @@ from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models import library
 from core.user_models.record import ModelRecord, ModelStatus
+from tests.in_memory import MemoryJobQueue
 from tests.models import add, identity
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.jobs.making import NOON

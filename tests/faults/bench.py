@@ -12,8 +12,6 @@ from typing import Any
 
 from pydantic import SecretStr
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.ending import cancel
 from core.jobs.job import Job
@@ -22,6 +20,7 @@ from core.jobs.store import Channel, Entry, JobStore
 from core.jobs.submission import submit
 from core.settings import WorkerSettings
 from tests.feeds import read_feed
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from worker.supervision.supervisor import Supervisor
 
 PROBE = Path(__file__).with_name("probe_process.py")

@@ -17,7 +17,6 @@ from typing import Any, Literal
 
 import pytest
 
-from core.adapters.memory.queue import Dispatch, MemoryJobQueue
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import JobNotFound, LeaseLost, Unavailable
@@ -35,6 +34,7 @@ from core.storage import keys
 from tests.contract.recording import Database
 from tests.faults.crashing import Crash, Died, Failure, Process
 from tests.feeds import read_feed
+from tests.in_memory import Dispatch, MemoryJobQueue
 
 LEASE = timedelta(minutes=5)
 STEPS = (1, 2)

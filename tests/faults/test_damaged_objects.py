@@ -13,7 +13,6 @@ import httpx
 import pytest
 
 from api.app import create_app
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
@@ -34,6 +33,7 @@ from tests.faults.campaign.proxy import Proxy
 from tests.faults.campaign.volumes import flip_byte
 from tests.faults.test_flipped_bytes import proxied
 from tests.feeds import read_feed
+from tests.in_memory import MemoryJobQueue
 from worker.supervision.starting_point import write_task
 
 # Finding out that an object is damaged takes about ten seconds; a training goes on within these.

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
@@ -23,6 +22,7 @@ from gaitway.service.embedded.weed_environment import REGION
 from tests.contract.recording import NOW, artifact, held, queued_job, say
 from tests.faults.campaign.proxy import Mode, Proxies, Proxy
 from tests.feeds import read_feed
+from tests.in_memory import MemoryObjectStore
 from worker.supervision.starting_point import write_task
 
 BODY = bytes(range(256)) * 400

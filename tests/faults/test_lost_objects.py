@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.status import JobStatus
@@ -22,6 +20,7 @@ from gaitway.service.embedded.weed import Weed
 from tests.contract.recording import Database, watch
 from tests.faults.bench import wait_until
 from tests.faults.outages import submitted
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.unit.worker.environments import environment
 
 pytestmark = pytest.mark.extra

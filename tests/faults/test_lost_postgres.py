@@ -13,8 +13,6 @@ from typing import Any
 import psycopg
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.engine import PromptConnection
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobNotFound, RecordsUnavailable
@@ -32,6 +30,7 @@ from tests.contract.recording import Database, watch
 from tests.faults.bench import unused_servers, wait_until
 from tests.faults.outages import Outages, Watch, pooled, submitted
 from tests.feeds import read_feed
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from worker.supervision.heartbeat import Heartbeat
 
 pytestmark = pytest.mark.extra

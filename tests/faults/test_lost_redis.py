@@ -13,7 +13,6 @@ import redis
 from pydantic import SecretStr
 from structlog.testing import capture_logs
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.adapters.wiring import connect_redis
@@ -31,6 +30,7 @@ from tests.contract.recording import Database, watch
 from tests.faults.bench import wait_until
 from tests.faults.outages import NullWorker, submitted
 from tests.feeds import read_feed
+from tests.in_memory import MemoryObjectStore
 from tests.unit.worker.environments import environment
 from worker.main import GaitwayWorker
 

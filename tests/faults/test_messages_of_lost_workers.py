@@ -2,7 +2,6 @@
 
 import redis
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.jobs.attempts import claim_attempt, new_secret
@@ -10,6 +9,7 @@ from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC
 from core.jobs.submission import submit
 from tests.contract.recording import LEASE, Database
+from tests.in_memory import MemoryObjectStore
 
 
 def test_the_message_goes_when_its_attempt_is_taken_back(

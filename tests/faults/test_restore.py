@@ -14,7 +14,6 @@ import pytest
 import structlog
 from typer.testing import CliRunner
 
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres import schema
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
@@ -38,6 +37,7 @@ from gaitway.service.embedded.stack import lock_folder
 from tests.conftest import Databases
 from tests.contract.recording import LEASE, Database, watch
 from tests.feeds import read_feed
+from tests.in_memory import MemoryJobQueue
 from tests.unit.jobs.playing import PlayedWorker
 
 NOBODYS = "019aa3c2f0b1-0000000000"

@@ -10,8 +10,6 @@ from typing import Any
 
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import TooManySweeps, Unavailable
 from core.jobs.attempts import Claim, claim_attempt, new_secret
@@ -26,6 +24,7 @@ from core.sweeps.controller import SweepController
 from core.sweeps.spec import Budget, SweepSpec
 from core.sweeps.sweep import SweepStatus
 from tests.faults.crashing import Crash, Died, Failure, Process
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.unit.sweeps.making import spec_of
 
 LEASE = timedelta(minutes=5)

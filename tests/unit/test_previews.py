@@ -2,9 +2,9 @@
 
 from datetime import UTC, datetime, timedelta
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.previews import library
 from core.previews.record import PreviewRequest
+from tests.in_memory import MemoryObjectStore
 
 NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
 

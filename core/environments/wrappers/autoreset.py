@@ -74,26 +74,13 @@ def draw(pool: State, chosen: jax.Array) -> State:
     return jax.tree.map(lambda x: jnp.take(x, chosen, axis=0, mode="clip"), pool)
 
 
-def step_episodes(
-    envs: VectorEnv,
-    episodes: Episodes,
-    action: jax.Array,
-    starts: State | None = None,
-    *,
-    episode_length: int,
-) -> Episodes:
-    """Every episode one action [num_envs, action_size] later.
+def follow(episodes: Episodes, state: State, starts: State | None, *, episode_length: int) -> Episodes:
+    """The episodes after a step that led to `state` [num_envs, ...].
 
     Where one ends, physics, observation and info become those of `starts` [num_envs, ...], because a reset in
     every step would cost as much as the step. None: those of the environment's own first state, as in Brax;
     raises ValueError if these were not kept. Reward, done and metrics stay those of the step.
     """
-    state = envs.step(episodes.state, action)
-    return follow(episodes, state, starts, episode_length=episode_length)
-
-
-def follow(episodes: Episodes, state: State, starts: State | None, *, episode_length: int) -> Episodes:
-    """The episodes after a step that led to `state` [num_envs, ...]; see step_episodes."""
     fresh = episodes.first if starts is None else starts
     if fresh is None:
         raise ValueError("There are no states to restart from: give `starts`, or keep the first states.")

@@ -9,7 +9,6 @@ from fastapi import FastAPI, Request
 from playwright.sync_api import expect
 
 from api.app import create_app
-from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs.job import Progress
 from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
@@ -17,6 +16,7 @@ from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from tests.api.conftest import NOON, NOWHERE, Attempt, Stack, job, serving
 from tests.api.pages.conftest import MakeTab, Tab
+from tests.in_memory import MemoryJobQueue
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import secrets
 from datetime import timedelta
 from typing import Any
 
-from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import JOB_SPEC
@@ -15,6 +14,7 @@ from core.jobs.submission import Acknowledgements, submit
 from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from tests.in_memory import MemoryJobQueue
 
 LEASE = timedelta(minutes=1)
 

@@ -10,7 +10,6 @@ from typing import Any
 import psycopg
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobNotFound, StorageUnavailable
 from core.jobs import feeds
@@ -23,6 +22,7 @@ from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from tests.feeds import read_feed
+from tests.in_memory import MemoryObjectStore
 from tests.unit.jobs.making import NOON
 from tests.unit.jobs.playing import PlayedWorker
 

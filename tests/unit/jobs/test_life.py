@@ -9,8 +9,6 @@ from typing import Any
 import pytest
 from sqlalchemy import event, text
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import (
@@ -37,6 +35,7 @@ from core.reasons import Reason
 from core.storage import keys
 from core.user_models.record import ModelRecord
 from tests.feeds import read_feed
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.unit.jobs.making import NOON, make_job
 
 LEASE = timedelta(seconds=10)

@@ -9,7 +9,7 @@ import pytest
 from structlog.testing import capture_logs
 from structlog.typing import EventDict
 
-from core.adapters.memory.objects import MemoryObjectStore
+from tests.in_memory import MemoryObjectStore
 from core.errors import StorageRefuses, StorageUnavailable
 from core.jobs import feeds
 from core.jobs.orphans import end_unfinished, sweep

@@ -6,8 +6,6 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import text
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import Dispatch, MemoryJobQueue
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.attempts import PAUSES
@@ -15,6 +13,7 @@ from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus
 from core.reasons import Reason
+from tests.in_memory import Dispatch, MemoryJobQueue, MemoryObjectStore
 from tests.unit.jobs.playing import LEASE, PlayedWorker
 
 

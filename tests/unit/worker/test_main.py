@@ -12,7 +12,6 @@ import pytest
 from rq.exceptions import StopRequested
 from rq.worker import WorkerStatus
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs.attempts import Claim
@@ -22,6 +21,7 @@ from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from core.settings import WorkerSettings
 from tests.contract.recording import held, queued_job
+from tests.in_memory import MemoryObjectStore
 from worker.host import file_lock
 from worker.main import GaitwayWorker
 from worker.supervision.left_attempts import leave

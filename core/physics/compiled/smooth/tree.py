@@ -71,11 +71,10 @@ class Dof:
 
 @dataclass(frozen=True)
 class Tree:
-    """num_positions: nq. gravity: [3] in m/s²."""
+    """gravity: [3] in m/s²."""
 
     bodies: tuple[Body, ...]
     dofs: tuple[Dof, ...]
-    num_positions: int
     gravity: Vector
 
     @property
@@ -91,7 +90,7 @@ def read_tree(model: mujoco.MjModel, own: Own = NOMINAL) -> Tree:
     bodies = tuple(_body(fields, number, shares[number]) for number in range(model.nbody))
     dofs = tuple(_dof(fields, number) for number in range(model.nv))
     weightless = fields.disables(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-    return Tree(bodies, dofs, model.nq, [0.0] * 3 if weightless else fields.row("opt.gravity"))
+    return Tree(bodies, dofs, [0.0] * 3 if weightless else fields.row("opt.gravity"))
 
 
 def principal_axes(model: mujoco.MjModel, body: int) -> Matrix:

@@ -8,9 +8,9 @@ from core.environments.wrappers.autoreset import (
     Episodes,
     begun_at_random,
     draw,
+    follow,
     fresh_states,
     start_episodes,
-    step_episodes,
 )
 from core.environments.wrappers.vectorized import VectorEnv
 from tests.probes import Probe
@@ -34,6 +34,17 @@ class Remembering(Probe):
 
 
 REMEMBERINGS = VectorEnv(Remembering(ENV.rule))
+
+
+def step_episodes(
+    envs: VectorEnv,
+    episodes: Episodes,
+    action: jax.Array,
+    starts: State | None = None,
+    *,
+    episode_length: int,
+) -> Episodes:
+    return follow(episodes, envs.step(episodes.state, action), starts, episode_length=episode_length)
 
 
 def act(episodes: Episodes, *actions: float) -> Episodes:

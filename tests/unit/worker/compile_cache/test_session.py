@@ -4,8 +4,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.jobs.spec import EnvironmentSpec
+from tests.in_memory import MemoryObjectStore
 from worker.compile_cache.local import CACHE
 from worker.compile_cache.session import Caches
 

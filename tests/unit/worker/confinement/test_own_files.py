@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.jobs.spec import JOB_SPEC
 from core.previews import library
 from core.rendering.gl import probe
 from core.settings import WorkerSettings
 from core.storage import keys
+from tests.in_memory import MemoryObjectStore
 from tests.unit.worker.environments import environment
 from tests.unit.worker.preview.test_preview import MODEL, request
 from worker.confinement import landlock

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from structlog.testing import capture_logs
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.settings import WorkerSettings
+from tests.in_memory import MemoryObjectStore
 from worker.compile_cache.fingerprint import fingerprint
 from worker.preparation.programs import prepare
 

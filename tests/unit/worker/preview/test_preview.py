@@ -8,13 +8,13 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.environments.catalog import find, parse_options
 from core.errors import ObjectNotFound
 from core.previews import library
 from core.previews.record import Preview, PreviewRequest
 from core.rendering.gl import probe
 from core.storage import keys
+from tests.in_memory import MemoryObjectStore
 from tests.models import identity
 from tests.unit.environments.mjcf.probe import XML
 from worker.preview import drawing

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.errors import LeaseLost, RecordsUnavailable
 from core.jobs.attempts import Claim
 from core.jobs.status import JobStatus
 from tests.faults.bench import unused_servers, wait_until
+from tests.in_memory import MemoryObjectStore
 from worker.supervision.heartbeat import Heartbeat
 
 

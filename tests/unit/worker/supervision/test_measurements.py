@@ -9,7 +9,6 @@ from typing import IO, Any
 
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.store import PostgresJobStore
 from core.jobs import feeds
 from core.jobs.attempts import Claim
@@ -19,6 +18,7 @@ from core.jobs.store import Entry
 from core.reasons import Reason
 from core.retry import CalledOff
 from tests.faults.bench import wait_until
+from tests.in_memory import MemoryObjectStore
 from tests.unit.jobs.playing import PlayedWorker
 from worker.protocol import Measured as MeasuredMessage
 from worker.supervision.measurements import store_metrics

@@ -8,8 +8,6 @@ from typing import Any
 
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs.attempts import Claim, claim_attempt, new_secret
@@ -19,6 +17,7 @@ from core.jobs.store import Channel, Entry
 from core.jobs.submission import submit
 from tests.faults.bench import wait_until
 from tests.feeds import read_feed
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from worker.protocol import Advanced, FileReady, Hello, Measured, Noted, PhaseBegan, PhaseEnded, Started
 from worker.supervision.outbox import Outbox
 

@@ -13,8 +13,6 @@ import mujoco
 import psutil
 import pytest
 
-from core.adapters.memory.objects import MemoryObjectStore
-from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.store import PostgresJobStore
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, read
@@ -27,6 +25,7 @@ from core.user_models import library
 from core.user_models.record import Description
 from tests import models
 from tests.extra import extra
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
 from worker.confinement.limits import Limits
