@@ -59,7 +59,7 @@ def retry_while_unavailable(
 def pause(seconds: float, called_off: Callable[[], bool] = _never) -> None:
     """Sleep for `seconds`. Raises CalledOff as soon as `called_off` is true.
 
-    Polls instead of waiting on a threading.Event: see worker/host/drain_flag.py.
+    Polls instead of waiting on a threading.Event: see worker/stopping.py.
     """
     until = time.monotonic() + seconds
     while not called_off():

@@ -36,19 +36,17 @@ from core.jobs.workers import WorkerInfo, packages_here
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
 from core.variables import variable
-from worker.host import device_health, file_lock
-from worker.host.device import device_of, visible_gpus
+from worker.host import device_health
+from worker.host.device import device_memory, device_of, visible_gpus
 from worker.host.device_health import DeviceHealth
-from worker.host.device_lock import slot_names
-from worker.host.device_memory import device_memory
 from worker.host.disk import check_folder
 from worker.host.health import show_life
-from worker.host.parent_death import PARENT, die_with_parent
-from worker.named_job import NamedJob
-from worker.preparation.idle import IdlePreparation
-from worker.supervision.left_attempts import record_left
-from worker.supervision.spool import SPOOLS, remove_left_over
-from worker.supervision.stall import is_stopped
+from worker.host.locks import remove_free_locks, slot_names
+from worker.host.processes import PARENT, die_with_parent
+from worker.preparation.programs import IdlePreparation
+from worker.supervision.spool import SPOOLS, record_left, remove_left_over
+from worker.supervision.watching import is_stopped
+from worker.tasks import NamedJob
 
 log = structlog.get_logger()
 
@@ -255,7 +253,7 @@ class GaitwayWorker(rq.Worker):
     def _clear_up(self) -> None:
         """Remove what a killed work-horse has left on the disk."""
         remove_left_over(self._data_dir / SPOOLS)
-        file_lock.remove_free(self._data_dir / "locks")
+        remove_free_locks(self._data_dir / "locks")
 
     def announce(self) -> None:
         """Update this worker in `GET /workers`, and record what an earlier worker here could not record.

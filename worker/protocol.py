@@ -1,7 +1,7 @@
 """The protocol between a training process and its supervisor.
 
 The process sends one JSON document per line, over a pipe of their own. The supervisor gives it a task, and
-sends two signals (`worker/stop_signals.py`).
+sends two signals (`worker/stopping.py`).
 """
 
 from math import isfinite

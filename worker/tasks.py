@@ -1,12 +1,15 @@
-"""The functions that RQ calls, each in a work-horse of its own."""
+"""The functions that RQ calls, each in a work-horse of its own. Redis may ask for no other work."""
 
 import os
 import signal
 import socket
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from typing import Any, ClassVar
 
 import structlog
+from rq.job import Job as RqJob
 
 from core.adapters.rq.queue import this_worker
 from core.adapters.wiring import job_store, object_store
@@ -22,11 +25,11 @@ from core.retry import CalledOff, pause, retry_while_unavailable
 from core.settings import WorkerSettings
 from worker.host import device_health
 from worker.host.device import device_of
-from worker.host.device_lock import slot_names
 from worker.host.disk import has_room, what_to_do
-from worker.host.drain_flag import Draining
-from worker.host.parent_death import die_with_parent
+from worker.host.locks import slot_names
+from worker.host.processes import die_with_parent
 from worker.preview.drawing import draw
+from worker.stopping import Draining
 from worker.supervision.spool import SPOOLS, remove_left_over, spool
 from worker.supervision.supervisor import Supervisor
 from worker.validation.confined import validate
@@ -128,3 +131,41 @@ def _leave_to_others(reason: str, draining: Draining) -> None:
     log.error("no_job_begun", detail=reason)
     with suppress(CalledOff):
         pause(_PAUSE_S, draining.is_set)
+
+
+class UnknownTask(Exception):
+    """The queue holds a task that this service does not have."""
+
+
+class NamedJob(RqJob):
+    """An RQ job that is one of our three tasks. RQ itself would call whatever Python function it names.
+
+    Callbacks are never run: their names come from Redis, too.
+    """
+
+    tasks: ClassVar[dict[str, Callable[..., None]]] = {
+        f"{task.__module__}.{task.__name__}": task for task in (run_attempt, validate_model, draw_preview)
+    }
+
+    @property
+    def success_callback(self) -> None:
+        """None, whatever Redis says."""
+        return None
+
+    @property
+    def failure_callback(self) -> None:
+        """None, whatever Redis says."""
+        return None
+
+    @property
+    def stopped_callback(self) -> None:
+        """None, whatever Redis says."""
+        return None
+
+    @property
+    def func(self) -> Callable[..., Any]:
+        """The task. Raises UnknownTask."""
+        task = self.tasks.get(str(self.func_name))
+        if task is None or self.instance is not None:
+            raise UnknownTask(f"{str(self.func_name)[:80]!r} is no task of a Gaitway worker.")
+        return task

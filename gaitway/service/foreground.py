@@ -34,8 +34,8 @@ from worker.protocol import (
     Started,
     Task,
 )
+from worker.stopping import StopRequest
 from worker.training.event_writer import EventWriter
-from worker.training.stopping import StopRequest
 
 _MODEL = "model"
 INTERRUPTED = 130

@@ -25,8 +25,8 @@ from core.rendering.scene import following_view
 from core.rendering.timeline import Floats, Motion, shots
 from gaitway.service.foreground import Told, begin
 from worker.protocol import Task
-from worker.render.motions import motion_of
-from worker.training.stopping import StopRequest
+from worker.render.process import motion_of
+from worker.stopping import StopRequest
 
 _FRAMES_PER_SECOND = 60
 _SPACE, _ENTER = 32, 257

@@ -11,7 +11,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from worker.training.compilations import keep_programs
+from worker.training.built_environment import keep_programs
 
 spool, events_fd = Path(sys.argv[1]), int(sys.argv[2])
 counted = Counter[str]()

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL
+from worker.stopping import DRAIN_SIGNAL, STOP_SIGNAL
 
 behaviour, spool, events_fd = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
 asked = set[int]()

@@ -31,7 +31,7 @@ from tests.faults.bench import unused_servers, wait_until
 from tests.faults.outages import Outages, Watch, pooled, submitted
 from tests.feeds import read_feed
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
-from worker.supervision.heartbeat import Heartbeat
+from worker.supervision.watching import Heartbeat
 
 pytestmark = pytest.mark.extra
 

@@ -17,7 +17,7 @@ from core.jobs.status import JobStatus
 from core.reasons import Reason
 from tests.faults.bench import Bench
 from worker.host.device_health import mark_of
-from worker.host.device_lock import slot
+from worker.host.locks import slot
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from tests.extra import extra
 from tests.faults.bench import Bench, wait_until
 from tests.faults.outages import Outages, Watch, pooled
 from worker.supervision import supervisor as supervisor_module
-from worker.supervision.left_attempts import record_left
+from worker.supervision.spool import record_left
 
 # Long enough for a test on a busy machine to begin its heartbeat.
 LEASE = timedelta(seconds=2)

@@ -14,7 +14,7 @@ from core.jobs.spec import JOB_SPEC
 from tests.faults.bench import SPEC
 from worker.host.child import TRAINING, TrainingProcess
 from worker.protocol import FileReady, Message, Task
-from worker.stop_signals import DRAIN_SIGNAL, Stop
+from worker.stopping import DRAIN_SIGNAL, Stop
 
 # To leave takes an epoch of a second and a file; this film alone is 1,800 frames, of more than 10 ms each.
 LONG_FILM = {"width": 640, "height": 480, "fps": 30, "seconds": 60, "every_checkpoint": True}

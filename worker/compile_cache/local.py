@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO
 
-from worker.host.plain_files import open_below
+from worker.host.disk import open_below
 
 # In GAITWAY_DATA_DIR, for the machine; and in an attempt's spool, for the job.
 CACHE = "cache"

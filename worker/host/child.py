@@ -19,9 +19,9 @@ from pydantic import ValidationError
 
 from core.variables import variable
 from worker.host.memory import sacrifice
-from worker.host.parent_death import PARENT
+from worker.host.processes import PARENT
 from worker.protocol import LONGEST_MESSAGE, MESSAGE, Message
-from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL, Stop
+from worker.stopping import DRAIN_SIGNAL, STOP_SIGNAL, Stop
 
 if TYPE_CHECKING:  # The training process, which starts children too, would load all settings.
     from core.settings import Confinement

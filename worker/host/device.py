@@ -1,17 +1,22 @@
-"""The device that a worker serves, or its GPUs; found without loading the numerical stack."""
+"""The device or GPUs that a worker serves, and their memory; found without loading the numerical stack."""
 
 import re
+import shutil
+import subprocess
 from importlib.util import find_spec
 from pathlib import Path
 
 from core.devices import gpu_indices
 from core.errors import Misconfigured
+from worker.host.memory import allowed_bytes
 
 DEV = Path("/dev")
 REMEDY = (
     "In a container: install the NVIDIA Container Toolkit on the host, and start with --profile gpu, which "
     "reserves the GPUs"
 )
+_TIMEOUT_S = 10.0
+_MIB = 2**20
 
 
 def device_of(wanted: str, dev: Path = DEV, *, has_cuda: bool | None = None) -> str:
@@ -64,3 +69,28 @@ def visible_gpus(dev: Path = DEV) -> list[str]:
 
 def _is_gpu(file: Path) -> bool:
     return re.fullmatch(r"nvidia\d+", file.name) is not None
+
+
+def device_memory(device: str, memory_limit: int | None) -> int | None:
+    """The bytes that a training may take of the machine's memory, for `cpu`; or those of the smallest GPU.
+
+    memory_limit: the setting. None if nvidia-smi is missing or does not know the GPU.
+    """
+    indices = gpu_indices(device)
+    if not indices:
+        return allowed_bytes(memory_limit)
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        return None
+    asked = [
+        "--query-gpu=memory.total",
+        "--format=csv,noheader,nounits",
+        f"--id={','.join(map(str, indices))}",
+    ]
+    try:
+        said = subprocess.run(
+            [program, *asked], capture_output=True, text=True, timeout=_TIMEOUT_S, check=True
+        )
+        return _MIB * min(int(line) for line in said.stdout.splitlines())
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return None

@@ -20,7 +20,7 @@ from core.jobs.workers import WorkerState
 from core.reasons import Reason
 from core.retry import CalledOff, pause
 from worker.host.child import environment, kill, launch, tail
-from worker.host.device_lock import SlotTaken, slots
+from worker.host.locks import SlotTaken, slots
 
 log = structlog.get_logger()
 

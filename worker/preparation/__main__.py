@@ -11,8 +11,8 @@ from core.adapters.wiring import object_store
 from core.configuration import read
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
-from worker.host.device_lock import slots
-from worker.host.parent_death import die_with_parent
+from worker.host.locks import slots
+from worker.host.processes import die_with_parent
 from worker.preparation.programs import prepare
 
 # The service, and whoever works on this machine, go first.

@@ -1,13 +1,16 @@
 """Compiles an environment's default training before a job asks for it: by one short training.
 
-It has the programs of the whole one: how many steps it takes is an argument of them. What it trains goes.
+It has the programs of the whole one: how many steps it takes is an argument of them. What it trains goes. A
+worker starts it while it has nothing to do, and ends it as soon as a job comes.
 """
 
 import os
 import subprocess
+import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import IO
 
 import structlog
@@ -15,10 +18,11 @@ import structlog
 from core.jobs.spec import TrainSpec
 from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
-from core.variables import variable
+from core.variables import PREFIX, variable
 from worker.compile_cache.fingerprint import fingerprint
 from worker.compile_cache.session import Caches, cached_as
-from worker.host.child import TRAINING, environment, launch, tail
+from worker.host.child import TRAINING, environment, kill, launch, tail
+from worker.host.locks import slot_names
 from worker.host.memory import sacrifice
 from worker.protocol import Task
 from worker.supervision.spool import SPOOLS, private, spool
@@ -29,6 +33,7 @@ log = structlog.get_logger()
 PREPARED = "prepared"
 # Drawing is nothing that is compiled: as few and small pictures as there may be.
 _VIDEO = {"width": 64, "height": 64, "fps": 1}
+PREPARATION = (sys.executable, "-m", "worker.preparation")
 
 
 def prepare(
@@ -81,3 +86,39 @@ def _last_line(said: IO[bytes]) -> str:
 
 def _never() -> bool:
     return False
+
+
+class IdlePreparation:
+    """The preparation of one worker's device. environments: those to prepare; none: it does nothing."""
+
+    def __init__(
+        self, device: str, environments: Sequence[str], command: Sequence[str] = PREPARATION
+    ) -> None:
+        self._device, self._command = device, command
+        self._has_ended = not environments
+        self._child: subprocess.Popen[bytes] | None = None
+
+    def go_on(self) -> None:
+        """Start it, unless it runs or has ended. Call it while the worker waits for a job."""
+        if self._child is not None:
+            self._has_ended = self._child.poll() is not None
+        elif not self._has_ended:
+            names = slot_names(self._device, os.getpid())
+            command = [*self._command, self._device, *names]
+            self._child = launch(command, _variables(self._device, os.environ), stdout=None, stderr=None)
+
+    def stop(self) -> None:
+        """End it with all its processes; the next `go_on` starts it again, unless it had come to its end."""
+        if self._child is not None:
+            self._has_ended = self._child.poll() is not None
+            kill(self._child)
+            self._child = None
+
+
+def _variables(device: str, base: Mapping[str, str]) -> dict[str, str]:
+    """Those of a training, and the service's own settings: it shares what it compiles by the object store."""
+    scrubbed = environment(device, Path(base.get(variable("data_dir"), "")), base)
+    del scrubbed[variable("data_dir")]
+    own = {name: value for name, value in base.items() if name.startswith(PREFIX)}
+    own.pop(variable("wandb_api_key"), None)
+    return {**scrubbed, **own}

@@ -12,7 +12,7 @@ from core.previews.record import PreviewRequest
 from core.rendering.gl import context_works
 from core.rendering.request import FailureReason, RenderFailure
 from worker.confinement.own_files import keep_to_own_files
-from worker.host.parent_death import die_with_parent
+from worker.host.processes import die_with_parent
 
 
 def main() -> int:

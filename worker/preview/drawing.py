@@ -24,7 +24,7 @@ from core.storage.objects import ObjectStore
 from core.user_models import library as models_library
 from core.variables import variable
 from worker.host.child import environment, kill, launch, tail
-from worker.host.plain_files import read_plain
+from worker.host.disk import read_plain
 
 # Playground's environments compile a reset on MJX, which takes a busy machine a minute.
 _TIMEOUT_S = 180.0

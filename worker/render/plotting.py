@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from worker.host.parent_death import die_with_parent
+from worker.host.processes import die_with_parent
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -8,12 +8,13 @@ import os
 import signal
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from core.errors import Rejected
 from core.rendering.gl import context_works
 from core.rendering.request import RenderFailure, RenderRequest, RenderResult
 from worker.host.disk import is_full, what_to_do
-from worker.host.parent_death import die_with_parent
+from worker.host.processes import die_with_parent
 
 NO_GL, BAD_REQUEST = 3, 4
 
@@ -39,7 +40,6 @@ def _draw(request: RenderRequest) -> RenderResult:
     # Imported here: only a process with working GL needs them.
     from core.environments import trajectory
     from core.rendering.clip import draw, load_model
-    from worker.render.motions import motion_of
 
     motions = [motion_of(episode) for episode in trajectory.load(request.trajectory).episodes]
     return draw(request, load_model(request.model), motions, gl_backend=os.environ.get("MUJOCO_GL", ""))
@@ -53,3 +53,20 @@ def _answer(answer: RenderResult | RenderFailure, status: int) -> int:
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))
+
+
+if TYPE_CHECKING:
+    from core.environments.trajectory import Episode
+    from core.rendering.timeline import Motion
+
+
+def motion_of(episode: Episode) -> Motion:
+    """The part of an episode that is drawn."""
+    from core.rendering.timeline import Motion
+
+    return Motion(
+        episode.time,
+        episode.qpos.astype("float64"),
+        None if episode.target is None else episode.target.astype("float64"),
+        episode.arena,
+    )

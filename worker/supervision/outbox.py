@@ -24,7 +24,7 @@ from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Channel, Entry
 from core.retry import retry_while_unavailable
 from core.storage import keys
-from worker.host.plain_files import NotPlain, open_plain
+from worker.host.disk import NotPlain, open_plain
 from worker.protocol import (
     Advanced,
     Failed,

@@ -7,7 +7,7 @@ from core.jobs.status import RETRIED, JobStatus
 from core.reasons import Reason
 from worker.host.memory import LESS_MEMORY
 from worker.protocol import Failed, Finished
-from worker.stop_signals import DRAIN_SIGNAL, Stop
+from worker.stopping import DRAIN_SIGNAL, Stop
 
 # How a process ends whose native code crashed, or found an error of its own.
 _CRASHES = frozenset(

@@ -33,23 +33,19 @@ from worker.compile_cache.session import Caches
 from worker.host.cgroup import memory_group
 from worker.host.child import TRAINING, TrainingProcess
 from worker.host.device_health import SUSPICIOUS, DeviceTest, mark_of, result_of, set_aside
-from worker.host.device_lock import SlotTaken, slots
 from worker.host.disk import is_full, what_to_do
-from worker.host.drain_flag import Draining
+from worker.host.locks import SlotTaken, slots
 from worker.host.memory import MemoryWatch, allowed_bytes
 from worker.protocol import Advanced, Failed, Finished, Noted, PhaseBegan, PhaseEnded
-from worker.stop_signals import Stop
-from worker.supervision.heartbeat import Heartbeat
-from worker.supervision.left_attempts import end, leave
-from worker.supervision.log_limit import LogLimit
+from worker.stopping import Draining, Stop
 from worker.supervision.measurements import store_metrics
 from worker.supervision.outbox import Outbox
 from worker.supervision.outcome import Outcome, judge
-from worker.supervision.spool import SPOOLS, private, spool
-from worker.supervision.stall import StallWatch
+from worker.supervision.spool import SPOOLS, end, leave, private, spool
 from worker.supervision.starting_point import write_task
 from worker.supervision.story import Story, ending, timed
 from worker.supervision.tracking import Tracking
+from worker.supervision.watching import Heartbeat, LogLimit, StallWatch
 
 log = structlog.get_logger()
 
@@ -192,7 +188,7 @@ class Supervisor:
                 process.stop(stop)
                 kill_at = time.monotonic() + self.settings.grace.total_seconds()
             elif stop is Stop.DRAIN:
-                process.stop(stop)  # One may be lost: see worker/training/stopping.py.
+                process.stop(stop)  # One may be lost: see worker/stopping.py.
             if time.monotonic() > kill_at:
                 process.kill()
             for watch, reason in (

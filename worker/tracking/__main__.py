@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from worker.host.parent_death import die_with_parent
+from worker.host.processes import die_with_parent
 from worker.tracking.items import ITEM, About, End, Row, WriteUp
 from worker.tracking.lines import lines_by_step
 

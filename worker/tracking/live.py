@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from core.settings import WorkerSettings
-from worker.host.plain_files import NotPlain, open_plain
+from worker.host.disk import NotPlain, open_plain
 from worker.protocol import FileReady, Measured, Message, Started
 from worker.tracking.child import end, start
 from worker.tracking.config import as_resolved

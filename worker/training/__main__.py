@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from worker.confinement.own_files import keep_to_own_files
-from worker.host.parent_death import die_with_parent
-from worker.training.stopping import StopRequest
+from worker.host.processes import die_with_parent
+from worker.stopping import StopRequest
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ import os
 import sys
 from typing import Any
 
-from worker.host.parent_death import die_with_parent
+from worker.host.processes import die_with_parent
 
 _SIZE = 1024
 

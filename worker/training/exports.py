@@ -1,5 +1,10 @@
-"""The policy of a training for programs elsewhere, as `policy.npz` and `policy.onnx`."""
+"""The files of a policy for programs elsewhere: `policy.npz`, `policy.onnx` and `simulation.json`.
 
+With the last, the page steps the body itself (docs/push.md). What is done at checkpoints besides training is
+kept to a share of the training's time.
+"""
+
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -10,15 +15,80 @@ from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.export.contract import Origin, contract
 from core.algorithms.export.network import Network, NotExportable, network_of
 from core.algorithms.export.numpy_file import numpy_file
+from core.environments.environment import Environment, Wrapped
+from core.environments.mujoco_env import MujocoEnv
+from core.environments.simulation import NotSimulated
+from core.jobs.spec import TrainSpec
 from worker.protocol import Noted
 from worker.training.built_environment import BuiltEnvironment
-from worker.training.policy_in_training import PolicyInTraining
-from worker.training.simulations import keep_simulation
-from worker.training.time_budget import TimeBudget
+from worker.training.event_writer import EventWriter
 
+SIMULATION = "simulation.json"
 _Writer = Callable[[Network, Mapping[str, Any]], bytes]
 _NUMPY, _NUMPY_TYPE = "policy.npz", "application/x-npz"
 _LAST, _BEST = "policy", "policy-best"
+
+
+@dataclass(frozen=True)
+class PolicyInTraining:
+    """The policy of a training, or of one of its seeds.
+
+    spec: of the training, or of the seed's own. events: where its files go. step: the environment steps that
+    it has been trained for. content: the algorithm's own file of it as it is. seed: None where the training
+    has a single one.
+    """
+
+    spec: TrainSpec
+    events: EventWriter
+    step: Callable[[], int]
+    content: Callable[[], bytes]
+    seed: int | None = None
+
+
+@dataclass
+class TimeBudget:
+    """Says when another one may be done, by what the last one took.
+
+    The first one also compiles or imports what the end of the job needs as well, so it says nothing about the
+    next.
+    """
+
+    share: float = 0.03
+    _is_prepared: bool = False
+    _next_at: float = 0.0
+
+    def allows_another(self) -> bool:
+        """Whether the last one's cost has become a small share of the time since then."""
+        return time.monotonic() >= self._next_at
+
+    def spent(self, began: float) -> None:
+        """Another one is done. began: its start, by `time.monotonic`."""
+        now = time.monotonic()
+        self._next_at = now + (now - began) / self.share if self._is_prepared else now
+        self._is_prepared = True
+
+
+def keep_simulation(environment: Environment, events: EventWriter) -> None:
+    """Keep the file, which says why if the body cannot be stepped."""
+    try:
+        document = _document(environment)
+    except NotSimulated as error:
+        document = {"refusal": f"This body cannot be pushed: {error}."}
+    content = json.dumps(document, separators=(",", ":")).encode()
+    facts = {"can_run": "refusal" not in document}
+    events.keep(SIMULATION, content, "simulation", "application/json", metadata=facts)
+
+
+def _document(environment: Environment) -> dict[str, Any]:
+    """The simulation of the body as its model says; a randomised body differs from it in each episode."""
+    while isinstance(environment, Wrapped):
+        environment = environment.environment
+    if not isinstance(environment, MujocoEnv):
+        raise NotSimulated("its environment is that of another package")
+    try:
+        return environment.simulation().document()
+    except (ValueError, RuntimeError) as error:  # Models of users may have anything in them.
+        raise NotSimulated(f"its model cannot be written as XML: {error}") from error
 
 
 @dataclass

@@ -11,7 +11,7 @@ from core.environments.trajectory import Episode
 from worker.protocol import Noted
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
-from worker.training.replays import ReplayWriter
+from worker.training.video import ReplayWriter
 
 _ROWS = (
     "Row i of qpos, qvel, action and reward: a state, in MuJoCo's units, the action in it, and what it led "

@@ -10,10 +10,8 @@ from core.environments.rollout import Roller
 from core.jobs.job import JobPhase
 from core.jobs.spec import VideoSpec
 from worker.training.built_environment import BuiltEnvironment
-from worker.training.policy_in_training import PolicyInTraining
-from worker.training.replays import ReplayWriter
-from worker.training.time_budget import TimeBudget
-from worker.training.video import VideoRecorder
+from worker.training.exports import PolicyInTraining, TimeBudget
+from worker.training.video import ReplayWriter, VideoRecorder
 
 
 @dataclass

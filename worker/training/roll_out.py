@@ -23,12 +23,11 @@ from core.errors import JobFailed
 from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, RolloutSpec, ZeroPolicy
 from core.reasons import Reason
 from worker.protocol import Advanced, Measured, PhaseBegan, Task
+from worker.stopping import StopRequest
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
-from worker.training.replays import ReplayWriter
-from worker.training.stopping import StopRequest
-from worker.training.video import VideoRecorder
+from worker.training.video import ReplayWriter, VideoRecorder
 
 # Episodes that run side by side.
 _MAX_ENVS = 64

@@ -1,6 +1,7 @@
-"""Runs a task and reports how it ended, whatever happens."""
+"""Runs a task and reports how it ended, whatever happens: an exception becomes its last message."""
 
 import io
+import re
 import sys
 import time
 import traceback
@@ -11,10 +12,40 @@ from pathlib import Path
 from core.errors import GaitwayError, JobFailed
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.reasons import Reason
+from worker.host.disk import is_full, what_to_do
+from worker.host.memory import LESS_MEMORY
 from worker.protocol import Failed, Finished, PhaseEnded, Task
+from worker.stopping import StopRequest
 from worker.training.event_writer import EventWriter
-from worker.training.failure import failure
-from worker.training.stopping import StopRequest
+
+# XLA's word, and Warp's.
+_DEVICE_MEMORY = re.compile(
+    r"RESOURCE_EXHAUSTED|CUDA_ERROR_OUT_OF_MEMORY|Failed to allocate \d+ bytes on device"
+)
+# CUDA's words, as XLA and Warp pass them on, and those of the driver.
+_DEVICE_FAILED = re.compile(
+    r"CUDA_ERROR_|Warp CUDA error|CUDA error|\bECC\b|device is lost|fallen off the bus|\bXid\b", re.IGNORECASE
+)
+
+
+def failure(error: Exception, device: str) -> Failed:
+    """Blames memory, device or disk if it was one of these. device: `cpu`, or the worker's GPUs."""
+    if is_full(error):
+        return Failed(reason=Reason.STORAGE_UNAVAILABLE, message=what_to_do())
+    text = f"{type(error).__name__}: {error}"
+    line = text.splitlines()[0][:500]
+    has_no_memory = _DEVICE_MEMORY.search(text) is not None
+    # Native physics reports a lack of memory through XLA, and by Python's name for it.
+    if "MemoryError" in text or (has_no_memory and device == "cpu"):
+        return Failed(
+            reason=Reason.OUT_OF_HOST_MEMORY, message=f"The worker's memory ran out. {LESS_MEMORY} {line}"
+        )
+    if has_no_memory:
+        message = f"The memory of {device} ran out. {LESS_MEMORY} {line}"
+        return Failed(reason=Reason.OUT_OF_MEMORY, message=message)
+    if device != "cpu" and _DEVICE_FAILED.search(text):
+        return Failed(reason=Reason.DEVICE_FAILED, message=f"The device {device} reported an error. {line}")
+    return Failed(reason=Reason.TRAINING_CRASHED, message=f"{line} (the log has the traceback)")
 
 
 def run(spool: Path, events_fd: int, stopping: StopRequest) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol
 
+import jax
 from numpy.typing import NDArray
 
 from core.algorithms.events import (
@@ -20,23 +21,25 @@ from core.algorithms.events import (
     Progress,
     SeedDiverged,
 )
+from core.algorithms.memory import Memory
 from core.algorithms.run import make_run
 from core.algorithms.seeds import make_seeds_run
 from core.algorithms.spec import BaseSpec
+from core.environments.info import Device
 from core.errors import JobFailed
 from core.jobs.job import JobPhase
 from core.jobs.spec import TrainSpec
+from core.reasons import Reason
+from worker.host.memory import allowed_bytes
 from worker.protocol import Advanced, Measured, Noted, PhaseBegan, PhaseEnded, Task
+from worker.stopping import StopRequest
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
-from worker.training.exports import ExportWriter
+from worker.training.exports import ExportWriter, PolicyInTraining
 from worker.training.lost_body import keep_lost_body
-from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
 from worker.training.policy_files import PolicyFiles
-from worker.training.policy_in_training import PolicyInTraining
 from worker.training.policy_videos import PolicyVideos
-from worker.training.stopping import StopRequest
 
 # A tenth of the budget lies between checkpoints where the job does not say.
 _CHECKPOINTS = 10
@@ -256,3 +259,17 @@ class Report:
         rate = (step - first_step) / (now - began) if step > first_step else self._rate
         eta_s = max(0, total - step) / rate if rate else None
         self.events.send(Advanced(step=step, total=total, steps_per_second=rate, eta_s=eta_s))
+
+
+def check_memory(least: Memory, device: Device) -> None:
+    """Raises JobFailed if the device, or for a CPU its machine, has less memory than the run needs."""
+    limit = allowed_bytes(None) if device == "cpu" else _device_bytes()
+    if limit is not None and least.bytes > limit:
+        # Not `out_of_host_memory`, which another process may have caused and which is retried.
+        raise JobFailed(Reason.OUT_OF_MEMORY, least.does_not_fit(limit, f"this worker's {device.upper()}"))
+
+
+def _device_bytes() -> int | None:
+    """The memory of the first GPU that XLA may use, in bytes; None if XLA does not say."""
+    counted = jax.local_devices()[0].memory_stats()
+    return counted.get("bytes_limit") if counted else None

@@ -8,9 +8,8 @@ import os
 import sys
 from pathlib import Path
 
-from worker.confinement.confinement import Layer, Unconfined, confine
-from worker.confinement.limits import Limits
-from worker.host.parent_death import die_with_parent
+from worker.confinement.confinement import Layer, Limits, Unconfined, confine
+from worker.host.processes import die_with_parent
 
 
 def main() -> None:

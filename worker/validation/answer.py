@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from core.documents import Stored
 from core.user_models.record import Description
-from worker.host.plain_files import read_plain
+from worker.host.disk import read_plain
 
 _MAX_BYTES = 16 * 2**20
 

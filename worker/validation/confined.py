@@ -18,7 +18,7 @@ from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models import library
 from core.user_models.store import ModelStore
-from worker.confinement.limits import Limits
+from worker.confinement.confinement import Limits
 from worker.host.child import environment, kill, launch, tail
 from worker.validation.answer import Answer, read_answer
 

@@ -13,7 +13,7 @@ import json, sys
 from pathlib import Path
 from worker.confinement import landlock
 from worker.confinement.confinement import Unconfined, confine
-from worker.confinement.limits import Limits
+from worker.confinement.confinement import Limits
 found = {{"landlock": landlock.version(), "layers": [], "why": ""}}
 try:
     found["layers"] = confine(Limits(), Path({folder!r}))

@@ -21,7 +21,7 @@ from tests.faults.campaign.disks import take_own_mounts
 from tests.faults.campaign.faults import Campaign, Fault, campaign_of
 from tests.faults.campaign.runner import READY, Outcome
 from tests.faults.campaign.world import PARTIES, SERVERS, World
-from worker.host.parent_death import PARENT, die_with_parent
+from worker.host.processes import PARENT, die_with_parent
 
 NUM_JOBS = 4
 _FAULTS_WITHIN_S = 3.5

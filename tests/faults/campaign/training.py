@@ -81,7 +81,7 @@ def checkpoint_of(step: int, state: str) -> bytes:
 
 
 if __name__ == "__main__":
-    from worker.host.parent_death import die_with_parent
+    from worker.host.processes import die_with_parent
 
     die_with_parent()
     main()

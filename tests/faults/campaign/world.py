@@ -33,7 +33,7 @@ from tests.faults.campaign.clocks import ClockedProcess, Clocks
 from tests.faults.campaign.disks import Disk
 from tests.faults.campaign.ports import Ports
 from tests.faults.campaign.proxy import Proxies
-from worker.host.parent_death import PARENT
+from worker.host.processes import PARENT
 
 PARTIES = ("api", "reconciler", "worker-1", "worker-2")
 SERVERS = ("postgres", "valkey", "weed")

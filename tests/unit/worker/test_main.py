@@ -22,11 +22,10 @@ from core.reasons import Reason
 from core.settings import WorkerSettings
 from tests.contract.recording import held, queued_job
 from tests.in_memory import MemoryObjectStore
-from worker.host import file_lock
+from worker.host.locks import take_lock
 from worker.main import GaitwayWorker
-from worker.supervision.left_attempts import leave
 from worker.supervision.outcome import Outcome
-from worker.supervision.spool import spool
+from worker.supervision.spool import leave, spool
 
 
 @pytest.fixture(autouse=True)
@@ -98,7 +97,7 @@ def test_what_a_killed_work_horse_has_left_on_the_disk_is_removed(
         lock.parent.mkdir(exist_ok=True)
         lock.touch()
     worker = GaitwayWorker(settings, "cpu", job_store)
-    descriptor = file_lock.take(settings.data_dir / "locks" / "lives.lock")
+    descriptor = take_lock(settings.data_dir / "locks" / "lives.lock")
     assert descriptor is not None
     with spool(held):
         worker.heartbeat()

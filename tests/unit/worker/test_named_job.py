@@ -9,7 +9,7 @@ from rq.job import Callback
 from rq.serializers import JSONSerializer
 
 from core.adapters.rq import queue as rq_queue
-from worker.named_job import NamedJob, UnknownTask
+from worker.tasks import NamedJob, UnknownTask
 
 
 def queue(client: redis.Redis) -> rq.Queue:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from worker.confinement import landlock
-from worker.confinement.limits import Limits
+from worker.confinement.confinement import Limits
 
 ROOT = Path(__file__).parents[4]
 NEEDS_LANDLOCK = pytest.mark.skipif(not landlock.version(), reason="this kernel has no Landlock")
@@ -22,11 +22,11 @@ NEEDS_LANDLOCK = pytest.mark.skipif(not landlock.version(), reason="this kernel 
 _PROBE = """
 import ctypes, json, os, resource, signal, socket, sys
 from pathlib import Path
-from worker.confinement import confinement, landlock, limits, privileges, seccomp
+from worker.confinement import confinement, landlock, privileges, seccomp
 {change}
 here = Path.cwd()
 try:
-    layers = confinement.confine(limits.Limits(cpu_s=7), here, strictly={strictly})
+    layers = confinement.confine(confinement.Limits(cpu_s=7), here, strictly={strictly})
 except confinement.Unconfined as error:
     print(json.dumps({{"unconfined": str(error)}}))
     sys.exit()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from worker.host.device_health import DeviceHealth, DeviceTest, command_for, mark_of, result_of, set_aside
-from worker.host.device_lock import SlotTaken, slot
+from worker.host.locks import SlotTaken, slot
 
 # Passed as soon as the file is there.
 _PASSES_WITH = "test -e {} || {{ echo 'Traceback'; echo 'cuda:0 multiplies wrongly.'; echo; exit 3; }}"

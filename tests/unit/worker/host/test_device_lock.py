@@ -10,8 +10,8 @@ import pytest
 
 from core.errors import Misconfigured
 from core.retry import CalledOff
-from worker.host.device_lock import SlotTaken, slot, slot_names, slots
-from worker.host.drain_flag import Draining
+from worker.host.locks import SlotTaken, slot, slot_names, slots
+from worker.stopping import Draining
 
 
 def test_a_slot_in_use_is_not_given_out(tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ def test_every_cpu_worker_has_a_slot_of_its_own_and_keeps_it() -> None:
 
 
 def test_equal_process_ids_of_two_containers_are_two_slots() -> None:
-    code = "from worker.host.device_lock import slot_names; print(slot_names('cpu', 7)[0])"
+    code = "from worker.host.locks import slot_names; print(slot_names('cpu', 7)[0])"
     contained = subprocess.run(
         ["unshare", "--pid", "--fork", "--mount-proc", sys.executable, "-c", code],
         capture_output=True,

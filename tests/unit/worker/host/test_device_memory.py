@@ -8,9 +8,9 @@ import pytest
 from core.algorithms.memory import Memory, Part
 from core.errors import JobFailed
 from core.reasons import Reason
-from worker.host.device_memory import device_memory
+from worker.host.device import device_memory
 from worker.host.memory import allowed_bytes
-from worker.training.memory import check_memory
+from worker.training.train import check_memory
 
 
 def test_a_cpu_has_what_a_training_may_take_of_the_machine() -> None:

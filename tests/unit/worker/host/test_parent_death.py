@@ -10,7 +10,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux ties
 # The child holds the write end of the pipe; the read end sees its end as soon as nobody holds it.
 _CHILD = """
 import os, signal
-from worker.host.parent_death import die_with_parent
+from worker.host.processes import die_with_parent
 die_with_parent()
 os.write(1, b"ready")
 signal.pause()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from worker.host.plain_files import NotPlain, open_below, open_plain, read_plain
+from worker.host.disk import NotPlain, open_below, open_plain, read_plain
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 from core.errors import Misconfigured
 from worker.main import check_prepared
-from worker.preparation.idle import IdlePreparation
+from worker.preparation.programs import IdlePreparation
 
 # Adds a line to a file and stays; with `ends` it ends at once.
 PROGRAM = """

@@ -12,7 +12,7 @@ from core.jobs.attempts import Claim
 from core.jobs.status import JobStatus
 from tests.faults.bench import unused_servers, wait_until
 from tests.in_memory import MemoryObjectStore
-from worker.supervision.heartbeat import Heartbeat
+from worker.supervision.watching import Heartbeat
 
 
 class Answers:

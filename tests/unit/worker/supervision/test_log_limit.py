@@ -2,7 +2,7 @@
 
 import pytest
 
-from worker.supervision.log_limit import LogLimit
+from worker.supervision.watching import LogLimit
 
 # A line of one kB with its end; the burst has room for 4096 of them, and a second brings 64.
 LINE = "x" * 1023

@@ -7,7 +7,7 @@ import pytest
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from worker.protocol import Failed, Finished
-from worker.stop_signals import DRAIN_SIGNAL, Stop
+from worker.stopping import DRAIN_SIGNAL, Stop
 from worker.supervision.outcome import judge
 
 DIVERGED = Failed(reason=Reason.DIVERGED, message="The reward became non-finite.")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from worker.supervision.stall import StallWatch, is_stopped, stopped_processes
+from worker.supervision.watching import StallWatch, is_stopped, stopped_processes
 
 PATIENCE = timedelta(seconds=60)
 

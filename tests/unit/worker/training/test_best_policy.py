@@ -16,11 +16,10 @@ from gaitway import exported_policy
 from tests.exports import policy_file
 from tests.probes import endless
 from worker.protocol import BestSoFar
-from worker.training.best_policy import BestPolicy
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
-from worker.training.exports import ExportWriter
-from worker.training.policy_in_training import PolicyInTraining
+from worker.training.exports import ExportWriter, PolicyInTraining
+from worker.training.policy_files import BestPolicy
 
 BEFORE = BestSoFar(path="from-before", step=50, episode_return=4.0)
 

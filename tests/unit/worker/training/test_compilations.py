@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from core.physics.compiled.code import kept_code
-from worker.training.compilations import keep_machine_code
+from worker.training.built_environment import keep_machine_code
 
 
 def test_the_code_of_a_body_is_kept_if_the_supervisor_has_made_a_folder_for_it(

@@ -18,11 +18,10 @@ from core.jobs.spec import TrainSpec
 from gaitway import exported_policy
 from tests.exports import numpy_answers, onnx_answers, policy_file
 from tests.probes import endless
-from worker.training import time_budget
+from worker.training import exports
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
-from worker.training.exports import ExportWriter
-from worker.training.policy_in_training import PolicyInTraining
+from worker.training.exports import ExportWriter, PolicyInTraining
 
 SEEN = np.random.default_rng(0).normal(0, 3, (20, 5)).astype(np.float32)
 CORRIDOR = TrainSpec.model_validate({"environment": {"id": "corridor", "options": {"walker": "ant"}}})
@@ -75,7 +74,7 @@ def test_a_running_job_has_the_policy_of_its_newest_checkpoint(
         now += 1.0
         return now
 
-    monkeypatch.setattr(time_budget.time, "monotonic", monotonic)
+    monkeypatch.setattr(exports.time, "monotonic", monotonic)
     policy = policy_file(PPOSpec.model_validate({"policy_hidden_layer_sizes": [4]}), SEEN, 2)
     # The second takes 1 s, which is a small share only of the time after the third.
     said = handed_over(tmp_path, policy, checkpoints=[160, 320, 480])

@@ -5,7 +5,7 @@ import errno
 import pytest
 
 from core.reasons import Reason
-from worker.training.failure import failure
+from worker.training.run import failure
 
 # As JAX 0.11.2 said it on an H100.
 _XLA_MEMORY = (

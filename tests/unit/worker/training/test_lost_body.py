@@ -17,9 +17,9 @@ from core.errors import JobFailed
 from core.jobs.spec import JOB_SPEC
 from core.physics.engine import NOMINAL, ModelFields
 from worker.protocol import MESSAGE, FileReady, Noted, Task
+from worker.stopping import StopRequest
 from worker.training.built_environment import build_environment
 from worker.training.event_writer import EventWriter
-from worker.training.stopping import StopRequest
 from worker.training.train import train
 
 NUM_ENVS, UNROLL, REPEAT = 8, 10, 2

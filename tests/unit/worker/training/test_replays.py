@@ -12,11 +12,11 @@ import pytest
 
 from core.rendering.replay.replay_file import read_replay
 from tests.unit.rendering.conftest import BALL, rolling_ball
-from worker.training import replays, time_budget
+from worker.training import exports, video
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
-from worker.training.replays import MOST_EPISODES, ReplayWriter
-from worker.training.time_budget import TimeBudget
+from worker.training.exports import TimeBudget
+from worker.training.video import MOST_EPISODES, ReplayWriter
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_a_body_that_cannot_be_shown_costs_no_job(
     def fail(*_: object) -> bytes:
         raise KeyError("float64")
 
-    monkeypatch.setattr(replays, "scene_of", fail)
+    monkeypatch.setattr(video, "scene_of", fail)
     events, read = pipe
     writer(events).keep([rolling_ball(0.1)], "", None)
     [note] = said(read)
@@ -77,7 +77,7 @@ def test_a_body_that_cannot_be_shown_costs_no_job(
 
 def test_replays_take_a_small_share_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
-    monkeypatch.setattr(time_budget.time, "monotonic", lambda: now)
+    monkeypatch.setattr(exports.time, "monotonic", lambda: now)
     budget = TimeBudget(share=0.05)
     assert budget.allows_another()
     now = 30.0  # The first compiled for 30 s, which the video at the end needs, too.

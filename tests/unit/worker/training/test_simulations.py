@@ -10,7 +10,7 @@ from core.environments.wrappers.domain_randomization import RandomizedEnvironmen
 from tests.probes import endless
 from tests.unit.environments.test_simulation import of_the_catalog
 from worker.training.event_writer import EventWriter
-from worker.training.simulations import keep_simulation
+from worker.training.exports import keep_simulation
 
 
 def handed_over(spool: Path, environment: Environment) -> tuple[list[dict[str, Any]], dict[str, Any]]:

@@ -7,8 +7,7 @@ from contextlib import suppress
 
 import pytest
 
-from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL
-from worker.training.stopping import StopRequest
+from worker.stopping import DRAIN_SIGNAL, STOP_SIGNAL, StopRequest
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ from tests.extra import extra
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
-from worker.confinement.limits import Limits
+from worker.confinement.confinement import Limits
 from worker.validation import confined, trials
 from worker.validation.answer import Answer, read_answer
 from worker.validation.confined import look, validate

@@ -1,11 +1,52 @@
-"""The supervisor's signals to the training process, and what they have asked for."""
+"""Whether a worker must shut down, and why and by which signals a supervisor stops its training process.
+
+They have a module of their own because the process handles them before it loads anything slow.
+"""
 
 import os
 import signal
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
+from enum import StrEnum
 
-from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL
+# Finish the epoch, keep the work, make the video of how far it came, and exit.
+STOP_SIGNAL = signal.SIGTERM
+# The job continues elsewhere: keep a checkpoint, nothing else, and exit; at once if there is nothing new to
+# keep. Sent repeatedly until the process ends.
+DRAIN_SIGNAL = signal.SIGUSR1
+
+
+class Stop(StrEnum):
+    """The reason for which a training process was asked to stop."""
+
+    CANCEL = "cancel"
+    TIMEOUT = "timeout"
+    DRAIN = "drain"
+
+
+class Draining:
+    """A plain flag, because a signal handler sets it.
+
+    threading.Event takes a lock both to set it and to wait for it. A handler may interrupt the main thread
+    inside such a wait, or inside another handler; the thread would then wait for ever for a lock that it
+    holds itself.
+    """
+
+    def __init__(self) -> None:
+        self._asked_at: float | None = None
+
+    def set(self, *_: object) -> None:
+        """Also usable as a signal handler."""
+        if self._asked_at is None:
+            self._asked_at = time.monotonic()
+
+    def is_set(self) -> bool:
+        return self._asked_at is not None
+
+    def for_s(self) -> float:
+        """For how many seconds it has been set; 0 if it is not."""
+        return 0.0 if self._asked_at is None else time.monotonic() - self._asked_at
 
 
 class StopRequest:

@@ -1,21 +1,50 @@
-"""One device, one job: the process that uses a device holds its lock, even when its supervisor is gone.
+"""Locks that the kernel releases when their holder ends, however it ends; the locks of devices among them.
 
-A job on several GPUs holds the locks of all of them.
+One device, one job: the process that uses a device holds its lock, even when its supervisor is gone. A job on
+several GPUs holds the locks of all of them.
 """
 
+import fcntl
 import os
 import socket
 import time
 from collections.abc import Callable, Generator, Iterable
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from core.retry import pause
-from worker.host import file_lock
 from worker.host.device import DEV, gpu_files
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _PID_NAMESPACE = Path("/proc/self/ns/pid")
+
+
+def take_lock(path: Path) -> int | None:
+    """The descriptor of this file, locked; None if another process holds it or has just removed it.
+
+    A process that inherits the descriptor holds the lock, too.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    with suppress(BlockingIOError, FileNotFoundError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(descriptor), path.stat()):
+            return descriptor
+    os.close(descriptor)
+    return None
+
+
+def remove_lock(path: Path, descriptor: int) -> None:
+    """Release a lock that nobody else holds, and remove its file."""
+    path.unlink(missing_ok=True)
+    os.close(descriptor)
+
+
+def remove_free_locks(folder: Path) -> None:
+    """Remove the locks in this folder that nobody holds."""
+    for path in folder.glob("*.lock"):
+        with suppress(OSError):  # A lock left behind does no harm.
+            if (descriptor := take_lock(path)) is not None:
+                remove_lock(path, descriptor)
 
 
 class SlotTaken(Exception):
@@ -68,11 +97,11 @@ def slot(path: Path, timeout_s: float, called_off: Callable[[], bool] = lambda: 
         yield descriptor
     finally:
         os.close(descriptor)
-        file_lock.remove_free(path.parent)
+        remove_free_locks(path.parent)
 
 
 def _wait_for(path: Path, deadline: float, called_off: Callable[[], bool]) -> int:
-    while (descriptor := file_lock.take(path)) is None:
+    while (descriptor := take_lock(path)) is None:
         if time.monotonic() > deadline:
             raise SlotTaken(f"Another process still uses the device; it holds {path}.")
         pause(0.1, called_off)  # flock has no timeout.
