@@ -4,14 +4,13 @@ import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
-from gaitway import sse
 from gaitway.addresses import path_of
 from gaitway.async_client.connection import AsyncConnection
 from gaitway.concurrency import async_sleep
 from gaitway.errors import Unavailable, Unreachable
 from gaitway.retry import Retry
 from gaitway.schema import JobView
-from gaitway.views import Event, event_of
+from gaitway.views import Event, Lines, Stream, event_of
 
 _SILENCE_S = 45.0  # the service sends at least a comment more often than this
 _LOG_SILENCE_S = 300.0  # a log has no comments
@@ -61,7 +60,7 @@ class AsyncFollowing(AsyncConnection):
             headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": seen} if seen else {})
             try:
                 async with self._opened(path, headers=headers, read_timeout_s=silence_s) as response:
-                    stream = sse.Stream(seen)
+                    stream = Stream(seen)
                     async for chunk in response.aiter_bytes():
                         for event in map(event_of, stream.take(chunk)):
                             seen = event.id or seen
@@ -94,7 +93,7 @@ class AsyncFollowing(AsyncConnection):
                     path, params={"follow": "true"}, read_timeout_s=_LOG_SILENCE_S
                 ) as response:
                     # A log has no ids: after a broken connection it starts from its beginning again.
-                    lines, num_seen = sse.Lines(), 0
+                    lines, num_seen = Lines(), 0
                     async for chunk in response.aiter_bytes():
                         for line in lines.take(chunk):
                             num_seen += 1

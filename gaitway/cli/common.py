@@ -1,4 +1,8 @@
-"""The commands' common parts: the client, job names, JSON."""
+"""The commands' common parts: the client, job names, JSON, and failures.
+
+An expected failure is one line on stderr, with an exit code; anything else keeps its traceback.
+0: it worked. 1: the job or the call failed. 2: the request was wrong. 130: interrupted.
+"""
 
 import json
 import sys
@@ -7,23 +11,47 @@ from typing import Annotated, Any, cast
 
 import typer
 from pydantic import BaseModel
+from rich.text import Text
+from typer.core import TyperGroup
 
 from gaitway.addresses import ID_LENGTH, SEARCHED, the_one
-from gaitway.cli.errors import complain, wrong_usage
-from gaitway.cli.terminal import escaped
+from gaitway.cli.terminal import Console, escaped, plain_output
 from gaitway.client import Client
+from gaitway.errors import GaitwayError, Rejected
 from gaitway.schema import JobView, SweepView
 
 # For commands whose arguments are for the programs that they start.
 PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": list[str]()}
-
 JobName = Annotated[
     str, typer.Argument(metavar="JOB", help="A job's id, an unambiguous beginning or end of it, or `last`.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
-
-
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
+
+
+class Group(TyperGroup):
+    """A group of commands whose expected failures are sentences."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            with plain_output():
+                return super().invoke(ctx)
+        except GaitwayError as error:
+            complain(str(error))
+            raise typer.Exit(2 if isinstance(error, Rejected) else 1) from None
+        except BrokenPipeError:
+            raise typer.Exit(1) from None
+
+
+def complain(sentence: str) -> None:
+    """Print one message on stderr, without markup."""
+    Console(stderr=True).print(Text(f"gaitway: {sentence}"), soft_wrap=True)
+
+
+def wrong_usage(sentence: str) -> typer.Exit:
+    """Print what is wrong with the command line; the caller raises the result."""
+    complain(sentence)
+    return typer.Exit(2)
 
 
 def confirm(question: str, *, yes: bool) -> None:

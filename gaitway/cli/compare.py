@@ -12,8 +12,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, client_of, job_id, print_json
-from gaitway.cli.errors import wrong_usage
+from gaitway.cli.common import AsJson, client_of, job_id, print_json, wrong_usage
 from gaitway.cli.progress import duration
 from gaitway.cli.terminal import Console
 from gaitway.client import Client

@@ -9,8 +9,7 @@ import typer
 from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
 
 from gaitway.addresses import OnBytes
-from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
-from gaitway.cli.errors import wrong_usage
+from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json, wrong_usage
 from gaitway.cli.jobs import origin
 from gaitway.cli.terminal import Console
 

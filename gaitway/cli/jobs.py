@@ -1,4 +1,4 @@
-"""`gaitway jobs`, `show`, `cancel`, `delete`: jobs as they stand."""
+"""`gaitway jobs`, `show`, `cancel`, `delete`: jobs as they stand; and `workers`: who trains."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -8,9 +8,8 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, JobName, Yes, client_of, confirm, job_id, print_json
+from gaitway.cli.common import AsJson, JobName, Yes, client_of, confirm, job_id, print_json, wrong_usage
 from gaitway.cli.compare import flat
-from gaitway.cli.errors import wrong_usage
 from gaitway.cli.progress import duration
 from gaitway.cli.terminal import Console
 from gaitway.cli.watch import ending
@@ -205,3 +204,22 @@ def _parts(job: JobView) -> list[str]:
         lines.append(f"  attempt {attempt.number} on {where}: {end}")
     lines += [f"  {a.name}  {a.size:,} bytes  {a.media_type}" for a in job.artifacts]
     return lines
+
+
+def workers(context: typer.Context, as_json: AsJson = False) -> None:
+    """List the workers that have sent a heartbeat lately, with what they do."""
+    found = list(client_of(context).workers())
+    if as_json:
+        print_json(found)
+        return
+    if not found:
+        print("No worker is running.")
+        return
+    table = Table(box=None, pad_edge=False)
+    for column in ("WORKER", "DEVICE", "STATE", "JOBS"):
+        table.add_column(column, overflow="fold")
+    for worker in found:
+        state = f"{worker.state}: {worker.problem}" if worker.problem else worker.state
+        jobs = worker.jobs or ((worker.job,) if worker.job else ())
+        table.add_row(*map(Text, (worker.name, worker.device, state, ", ".join(jobs) or "none")))
+    Console().print(table)

@@ -11,15 +11,12 @@ from gaitway.cli import (
     files,
     jobs,
     models,
-    preview,
-    rollout,
     service,
     submit,
     sweeps,
     watch,
-    workers,
 )
-from gaitway.cli.errors import Group
+from gaitway.cli.common import Group
 
 app = typer.Typer(
     cls=Group,
@@ -59,7 +56,7 @@ def main(
 for command in (
     environments.environments,
     submit.submit,
-    rollout.rollout,
+    submit.rollout,
     jobs.jobs,
     jobs.show,
     watch.watch,
@@ -71,9 +68,9 @@ for command in (
     files.export,
     files.share,
     files.download,
-    preview.preview,
+    environments.preview,
     sweeps.sweep,
-    workers.workers,
+    jobs.workers,
 ):
     app.command()(command)
 app.command("open")(watch.open_job)

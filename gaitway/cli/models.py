@@ -7,8 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, client_of, model_id, print_json
-from gaitway.cli.errors import Group
+from gaitway.cli.common import AsJson, Group, client_of, model_id, print_json
 from gaitway.cli.terminal import Console
 from gaitway.schema import ModelView, WorkerView
 

@@ -12,8 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, Yes, client_of, confirm, full_id, print_json
-from gaitway.cli.errors import Group
+from gaitway.cli.common import AsJson, Group, Yes, client_of, confirm, full_id, print_json
 from gaitway.cli.progress import duration
 from gaitway.cli.submit import read
 from gaitway.cli.terminal import Console

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gaitway.cli.errors import complain, wrong_usage
+from gaitway.cli.common import complain, wrong_usage
 from gaitway.service.commands.services import require
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from gaitway.addresses import models_in
-from gaitway.cli.common import client_of, job_id
-from gaitway.cli.errors import complain, wrong_usage
+from gaitway.cli.common import client_of, complain, job_id, wrong_usage
 from gaitway.cli.submit import Assignments, assigned, option
 from gaitway.cli.watch import page_of
 from gaitway.client import Client

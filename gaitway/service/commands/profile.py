@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli.errors import complain, wrong_usage
+from gaitway.cli.common import complain, wrong_usage
 from gaitway.cli.submit import Assignments, assigned, name_the_algorithm, read, whole_path
 from gaitway.service.commands.services import require
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli.errors import wrong_usage
+from gaitway.cli.common import wrong_usage
 from gaitway.service.installed import data_folder, use_code
 
 

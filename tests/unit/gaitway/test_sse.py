@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gaitway.sse import Lines, ServerSentEvent, Stream
+from gaitway.views import Lines, ServerSentEvent, Stream
 
 
 def parse(lines: list[str], last_id: str = "") -> list[ServerSentEvent]:

@@ -12,14 +12,14 @@ from rich.table import Table
 from rich.text import Text
 from typer.testing import CliRunner
 
-from gaitway.cli import errors, terminal
+from gaitway.cli import common, terminal
 from gaitway.cli.common import print_json
 from gaitway.errors import GaitwayError
 
 # Clears the screen, sets the title, writes the clipboard, in both forms; overrides the direction; returns.
 HOSTILE = "a\x1b[2J\x1b]0;title\x07\x9b2J\x9d52;c;aGk=\x9c\u202eb\u2066\r\x08\x7f\u0000ü→ \t end"
 SHOWN = re.compile("[^\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]*")
-app = typer.Typer(cls=errors.Group)
+app = typer.Typer(cls=common.Group)
 
 
 @app.command("print")
