@@ -1,4 +1,4 @@
-"""`gaitway submit`, from a file, from options or from both; `gaitway rollout`, which runs a trained policy."""
+"""`gaitway submit`, from a file, from options or from both; `gaitway rollout` runs a trained policy."""
 
 import json
 import sys
