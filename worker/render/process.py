@@ -16,6 +16,10 @@ from core.rendering.request import RenderFailure, RenderRequest, RenderResult
 from worker.host.disk import is_full, what_to_do
 from worker.host.processes import die_with_parent
 
+if TYPE_CHECKING:
+    from core.environments.trajectory import Episode
+    from core.rendering.timeline import Motion
+
 NO_GL, BAD_REQUEST = 3, 4
 
 
@@ -51,16 +55,7 @@ def _answer(answer: RenderResult | RenderFailure, status: int) -> int:
     return status
 
 
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
-
-
-if TYPE_CHECKING:
-    from core.environments.trajectory import Episode
-    from core.rendering.timeline import Motion
-
-
-def motion_of(episode: Episode) -> Motion:
+def motion_of(episode: "Episode") -> "Motion":
     """The part of an episode that is drawn."""
     from core.rendering.timeline import Motion
 
@@ -70,3 +65,7 @@ def motion_of(episode: Episode) -> Motion:
         None if episode.target is None else episode.target.astype("float64"),
         episode.arena,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
