@@ -31,7 +31,7 @@ from core.errors import (
     StorageUnavailable,
 )
 from core.jobs.job import Artifact
-from core.storage.whole import OTHER_BYTES, check_whole, read_whole
+from core.storage.objects import OTHER_BYTES, check_whole, read_whole
 
 _ONE_RANGE = re.compile(r"bytes=[ \t]*(\d{0,19})-(\d{0,19})[ \t]*", re.ASCII | re.IGNORECASE)
 log = structlog.get_logger()

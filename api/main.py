@@ -23,9 +23,8 @@ from uvicorn.config import STARTUP_FAILURE
 from uvicorn.supervisors import multiprocess
 
 from api.app import from_environment
-from core.configuration import stopping_if_misconfigured
+from core.configuration import configure_logging, stopping_if_misconfigured
 from core.errors import Misconfigured
-from core.telemetry import configure_logging
 
 BACKLOG = 512
 # Long enough for a piece of a file or a submission; streams close on their own.

@@ -31,7 +31,7 @@ from core.jobs.resolved import resolve_environment
 from core.jobs.spec import JOB_SPEC, EnvironmentSpec, JobSpec
 from core.jobs.store import Idempotency
 from core.sweeps.spec import SWEEP_SPEC, Budget, SweepSpec
-from core.user_models.store import ModelStore
+from core.user_models.record import ModelStore
 
 Document = TypeVar("Document")
 # A client does not read the answer while it is still sending, so this much excess is read and discarded.

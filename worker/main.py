@@ -25,7 +25,7 @@ from rq.serializers import JSONSerializer
 from core.adapters.rq.queue import job_of
 from core.adapters.startup import check_stores
 from core.adapters.wiring import connect_redis, job_store, object_store
-from core.configuration import read, stopping_if_misconfigured
+from core.configuration import configure_logging, read, stopping_if_misconfigured
 from core.environments.catalog import find
 from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.installation import to_install
@@ -34,7 +34,6 @@ from core.jobs.queue import FIRST, queue_names
 from core.jobs.store import JobStore
 from core.jobs.workers import WorkerInfo, packages_here
 from core.settings import WorkerSettings
-from core.telemetry import configure_logging
 from core.variables import variable
 from worker.host import device_health
 from worker.host.device import device_memory, device_of, visible_gpus

@@ -16,14 +16,13 @@ import structlog
 
 from core.adapters.startup import check_stores, prepare_database
 from core.adapters.wiring import job_queue, job_store, object_store
-from core.configuration import read, stopping_if_misconfigured
+from core.configuration import configure_logging, read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.jobs import feeds, orphans
 from core.jobs.ending import end_deletions
 from core.jobs.reconciliation import Reconciler, StrayMessages
 from core.settings import ReconcilerSettings
 from core.sweeps.controller import SweepController
-from core.telemetry import configure_logging
 from core.user_models import library
 from worker.host.health import show_life
 

@@ -22,7 +22,7 @@ from core.jobs.job import Artifact, Job
 from core.jobs.metrics import Block, Newest
 from core.jobs.resolved import filled_in, model_of
 from core.storage import keys
-from core.storage.whole import check_whole
+from core.storage.objects import check_whole
 
 # An older date cannot be said in a zip. A fixed one makes equal exports equal.
 _WHEN = (1980, 1, 1, 0, 0, 0)

@@ -20,7 +20,7 @@ from api.sharing.report_sections import (
 )
 from core.errors import ObjectNotFound
 from core.jobs.job import Artifact, Job
-from core.storage.whole import check_whole
+from core.storage.objects import check_whole
 
 # The file needs no other file and no network, and no script in it runs but the viewers of curves and replay.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; media-src data:"

@@ -15,8 +15,7 @@ from core.jobs.metrics import Block, Curves
 from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Chunk, Entry, JobStore, metrics_entries
 from core.storage import keys
-from core.storage.objects import ObjectStore
-from core.storage.whole import read_whole
+from core.storage.objects import ObjectStore, read_whole
 
 log = structlog.get_logger()
 

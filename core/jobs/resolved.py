@@ -19,8 +19,7 @@ from core.jobs.job import Job
 from core.jobs.spec import Accelerator, EnvironmentSpec, JobSpec, TrainSpec
 from core.physics.availability import EngineName, beyond
 from core.user_models import library
-from core.user_models.record import Description
-from core.user_models.store import ModelStore
+from core.user_models.record import Description, ModelStore
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 

@@ -14,7 +14,7 @@ from core.jobs.metrics import Block, Measurement
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerStore
-from core.user_models.store import ModelStore
+from core.user_models.record import ModelStore
 
 # Metrics are a feed of their own, with numbers among those of the events, which are read with them.
 Channel = Literal["events", "logs", "metrics"]

@@ -1,4 +1,4 @@
-"""A request for stills, its queue, and the stills that a worker rendered."""
+"""A request for stills, the stills that a worker rendered, and the queue that brings requests to workers."""
 
 import hashlib
 import json

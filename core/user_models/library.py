@@ -7,10 +7,8 @@ from pathlib import Path
 
 from core.errors import BadModel, ModelNotFound, RecordsUnavailable
 from core.storage import keys
-from core.storage.objects import ObjectStore
-from core.storage.whole import read_whole
-from core.user_models.record import ModelQueue, ModelRecord
-from core.user_models.store import ModelStore
+from core.storage.objects import ObjectStore, read_whole
+from core.user_models.record import ModelQueue, ModelRecord, ModelStore
 
 _ID = re.compile(r"sha256:[0-9a-f]{64}")
 # How long a client that was answered 202 may ask why the model was refused.

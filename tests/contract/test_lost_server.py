@@ -19,7 +19,7 @@ from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
 from core.jobs.workers import WorkerStore
-from core.user_models.store import ModelStore
+from core.user_models.record import ModelStore
 from gaitway.service.embedded.postgres import Postgres
 from tests.contract.recording import (
     LEASE,

@@ -21,7 +21,7 @@ from api.files import is_known, requested_range
 from api.problems import MalformedBody, RangeNotSatisfiable
 from api.routes.jobs import Listed
 from api.submissions import EXAMPLES, fingerprint, parse
-from core.adapters.cursors import check_cursor
+from core.adapters.postgres.listing import check_cursor
 from core.adapters.postgres.store import PostgresJobStore
 from core.configuration import read
 from core.documents import read_leniently

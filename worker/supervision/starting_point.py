@@ -14,8 +14,7 @@ from core.jobs.spec import RolloutSpec, TrainSpec
 from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.storage import keys
-from core.storage.objects import ObjectStore
-from core.storage.whole import save_whole
+from core.storage.objects import ObjectStore, save_whole
 from core.user_models import library
 from worker.host.commit import commit_here
 from worker.protocol import BestSoFar, Task

@@ -17,7 +17,7 @@ from core.physics.availability import EngineName
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models import library
-from core.user_models.store import ModelStore
+from core.user_models.record import ModelStore
 from worker.confinement.confinement import Limits
 from worker.host.child import environment, kill, launch, tail
 from worker.validation.answer import Answer, read_answer

@@ -23,9 +23,9 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.exc import DataError, IntegrityError
 
-from core.adapters.cursors import check_cursor
 from core.adapters.postgres import feeds, leases, listing, rows
 from core.adapters.postgres.engine import Session
+from core.adapters.postgres.listing import check_cursor
 from core.adapters.postgres.tables import (
     NOW,
     UNFINISHED,

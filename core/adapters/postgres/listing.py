@@ -1,20 +1,62 @@
 """Listings that stay fast among a million jobs, whatever their filters.
 
-Their pages end at a number of rows, or at a number of bytes: rows may be long.
+Their pages end at a number of rows, or at a number of bytes: rows may be long. Cursors, with which readers
+continue a listing, come from clients, so they are checked.
 """
 
+import re
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, Subquery, Table, func, or_, select
 
 from core.adapters.postgres.tables import jobs
+from core.errors import JobNotFound, Problem, Rejected
+from core.jobs.job import check_job_id
 from core.jobs.store import JobQuery
+from core.jobs.workers import WORKER_NAME
+from core.user_models.record import ModelRecord
 
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MODEL = re.compile(r"([0-9]{1,17})-(sha256:[0-9a-f]{64})")
 # How many of the newest jobs are checked one by one, which takes 5 ms.
 _NEAR = 20_000
 _MOST_BYTES = 2**22
 _COLUMNS = ("status", "kind", "environment", "name")
+
+
+def check_cursor(cursor: str) -> str:
+    """The id of the last job of a page; raises Rejected if the cursor is not a job's id."""
+    try:
+        return check_job_id(cursor)
+    except JobNotFound:
+        raise _refusal() from None
+
+
+def model_cursor(record: ModelRecord) -> str:
+    """When the last model of a page was sent, in microseconds since 1970, and its id."""
+    return f"{(record.created_at - _EPOCH) // timedelta(microseconds=1)}-{record.id}"
+
+
+def check_model_cursor(cursor: str) -> tuple[datetime, str]:
+    """The moment and the id of a cursor made by `model_cursor`. Raises Rejected."""
+    found = _MODEL.fullmatch(cursor)
+    if found is None:
+        raise _refusal()
+    return _EPOCH + timedelta(microseconds=int(found[1])), found[2]
+
+
+def check_worker_cursor(cursor: str) -> str:
+    """The name of the last worker of a page; raises Rejected if no worker can have this name."""
+    if re.fullmatch(WORKER_NAME, cursor) is None:
+        raise _refusal()
+    return cursor
+
+
+def _refusal() -> Rejected:
+    sentence = "The cursor is not one that this listing gave; leave it out to begin with the first page."
+    return Rejected(sentence, [Problem("/cursor", sentence)])
 
 
 def newest(connection: Connection, query: JobQuery, before: str | None, limit: int) -> Sequence[Row[Any]]:

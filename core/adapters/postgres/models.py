@@ -9,15 +9,14 @@ from pydantic import ValidationError
 from sqlalchemy import Connection, Row, delete, func, select, tuple_, update
 from sqlalchemy.dialects.postgresql import insert
 
-from core.adapters.cursors import check_model_cursor, model_cursor
 from core.adapters.postgres import listing
 from core.adapters.postgres.engine import Session
+from core.adapters.postgres.listing import check_model_cursor, model_cursor
 from core.adapters.postgres.rows import columns, words
 from core.adapters.postgres.tables import NOW, dispatches, models
 from core.errors import ModelNotFound
 from core.jobs.store import Dispatch
-from core.user_models.record import Description, ModelRecord
-from core.user_models.store import ModelPage
+from core.user_models.record import Description, ModelPage, ModelRecord
 
 log = structlog.get_logger()
 

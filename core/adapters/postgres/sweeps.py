@@ -10,10 +10,10 @@ from pydantic_core import from_json
 from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
-from core.adapters.cursors import check_cursor
 from core.adapters.postgres import listing, rows
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.jobs import KEYS_REMEMBERED, add_job, hashed
+from core.adapters.postgres.listing import check_cursor
 from core.adapters.postgres.tables import NOW, jobs, sweeps, trials
 from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound, TooManySweeps
 from core.jobs.job import Job

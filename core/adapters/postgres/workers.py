@@ -9,8 +9,8 @@ from pydantic import ValidationError
 from sqlalchemy import Row, and_, delete, func, select
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
-from core.adapters.cursors import check_worker_cursor
 from core.adapters.postgres.engine import Session
+from core.adapters.postgres.listing import check_worker_cursor
 from core.adapters.postgres.rows import HELD, interval
 from core.adapters.postgres.tables import NOW, attempts, jobs, workers
 from core.jobs.workers import WorkerInfo, WorkerPage
