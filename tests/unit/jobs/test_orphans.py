@@ -9,7 +9,6 @@ import pytest
 from structlog.testing import capture_logs
 from structlog.typing import EventDict
 
-from tests.in_memory import MemoryObjectStore
 from core.errors import StorageRefuses, StorageUnavailable
 from core.jobs import feeds
 from core.jobs.orphans import end_unfinished, sweep
@@ -18,6 +17,7 @@ from core.jobs.store import JobStore
 from core.storage import keys
 from core.storage.objects import ObjectInfo
 from core.user_models.record import ModelRecord
+from tests.in_memory import MemoryObjectStore
 from tests.unit.jobs.making import make_job
 from tests.unit.jobs.playing import PlayedWorker
 from worker import reconciler
