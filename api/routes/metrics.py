@@ -8,9 +8,8 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 from starlette.responses import StreamingResponse
 
-from api.curves import MOST_VALUES, thinned
+from api.curves import MOST_VALUES, csv_lines, metrics_rows, thinned
 from api.dependencies import EntryId, JobId, Parameters, Service, ServiceDep
-from api.metrics_table import csv_lines, metrics_rows
 from api.problems import refusals
 from api.views import answer
 from core.errors import JobNotFound, Problem, RecordsUnavailable, Rejected, StorageUnavailable

@@ -13,8 +13,8 @@ from itertools import chain
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
+from api.curves import csv_lines, json_lines
 from api.dependencies import Service
-from api.metrics_table import csv_lines, json_lines
 from api.views import job_view
 from core.errors import ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs import feeds
