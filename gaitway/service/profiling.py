@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from core.algorithms.catalog import resolve
 from core.algorithms.events import Event, Phase, Progress
 from core.errors import Rejected
 from core.jobs.spec import TrainSpec
@@ -79,7 +78,7 @@ def _profile(task: Task, spec: TrainSpec, epochs: int, trace: Path | None, began
 
     events = Told(Path.cwd(), keeps_rows=False)
     built = build_environment(task)
-    settings = resolve(spec.algorithm, built.info, built.device)
+    settings = built.job.settings_on(built.device)
     events.send(built.started(hyperparameters=settings.model_dump()))
     run = cast("Run[Any]", begin_or_resume(task, spec, settings, built, events)[0])
     report, times = Report(events, run), Times()
