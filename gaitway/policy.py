@@ -102,5 +102,7 @@ def _reader(algorithm: str) -> Reader:
             return partial(networks.load, networks.SAC)
         case "dqn":
             return networks.load_dqn
-        case _:
+        case "q_learning":
             return tables.load
+        case _:
+            raise AssertionError(f"READERS names {algorithm}, which has no reader.")

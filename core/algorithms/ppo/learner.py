@@ -36,7 +36,7 @@ from core.algorithms.experience import (
     summarise,
 )
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
-from core.algorithms.ppo.kernels import layout as fitting
+from core.algorithms.ppo.kernels import layout
 from core.algorithms.ppo.loss import ADAM, Hyperparameters, adapt_to_kl, clipped, descend, linear, loss_of
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
@@ -287,8 +287,8 @@ class Learner:
         return (
             self.kernels
             and self.sharding.mesh is None
-            and fitting.usable()
-            and fitting.fits(self.settings, environment.observation_size, environment.action_size)
+            and layout.usable()
+            and layout.fits(self.settings, environment.observation_size, environment.action_size)
         )
 
     def _networks(self, *, normalize: bool) -> Any:

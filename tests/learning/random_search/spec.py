@@ -1,4 +1,4 @@
-"""Hyperparameters of random search, a third algorithm that only tests know."""
+"""Hyperparameters of random search, an algorithm that only tests know."""
 
 from typing import Literal
 

@@ -9,7 +9,7 @@ import pytest
 
 from core.algorithms.brax_training import Transition, init_normalizer
 from core.algorithms.brax_training import networks as brax_networks
-from core.algorithms.ppo.kernels import layout as fitting
+from core.algorithms.ppo.kernels import layout
 from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Chosen, gradient
 from core.algorithms.ppo.kernels.layout import Layout, Sizes, rounded_up
 from core.algorithms.ppo.kernels.learn import _flattened, learn
@@ -222,11 +222,11 @@ def test_packed_parameters_come_back_and_the_padding_is_zero() -> None:
 def test_only_what_the_kernels_compute_is_given_to_them(
     changes: dict[str, object], observation_size: Any, fits: bool
 ) -> None:
-    assert fitting.fits(settings(**changes), observation_size, 8) is fits
+    assert layout.fits(settings(**changes), observation_size, 8) is fits
 
 
 def test_a_cpu_has_no_use_for_them() -> None:
-    assert not fitting.usable()
+    assert not layout.usable()
     learner = Learner(probes.constant_reward(), settings())
     assert not learner.has_kernels
     assert isinstance(learner.init(jnp.uint32(0)), TrainingState)

@@ -124,7 +124,9 @@ def test_tuned_values_are_complete_and_go_together(info: EnvironmentInfo, device
     assert resolved.episode_length == info.episode_length
     if info.id in catalog.BUILT_IN:  # Other packages' settings are theirs.
         of_ppo = ppo_tuned.tuned(info, device).model_fields_set
-        assert of_ppo, f"{info.id!r} lacks tuned values of PPO for {device!r}: see core/algorithms/ppo/tuned/"
+        assert of_ppo, (
+            f"{info.id!r} lacks tuned values of PPO for {device!r}: see core/algorithms/ppo/tuned.py"
+        )
         # On a GPU an evaluation takes a second or more, however many train side by side.
         assert device == "cpu" or resolved.num_evals <= 4
     assert resolved.batch_size * resolved.num_minibatches % resolved.num_envs == 0

@@ -1,4 +1,4 @@
-"""The passes over a batch by the kernels of `gradient`, for what `fitting.fits` says."""
+"""The passes over a batch by the kernels of `gradient`, where `layout.fits` says that they can."""
 
 from typing import Any, cast
 
