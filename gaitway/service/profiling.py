@@ -14,6 +14,7 @@ from gaitway.service.foreground import Told, begin, device_of, training
 from worker.protocol import Task
 
 if TYPE_CHECKING:
+    from core.algorithms.algorithm import RunSettings
     from core.algorithms.profiling import UpdateTimes
 
 _COMPILE = ("trace", "compile")
@@ -82,7 +83,7 @@ def _profile(task: Task, spec: TrainSpec, epochs: int, trace: Path | None, began
     events.send(built.started(hyperparameters=settings.model_dump()))
     run = cast("Run[Any]", begin_or_resume(task, spec, settings, built, events)[0])
     report, times = Report(events, run), Times()
-    steps_per_update = settings.env_steps_per_update
+    steps_per_update = cast("RunSettings", settings).env_steps_per_update
     with closing(run.events()) as told:
         seen = 0
         for event in told:
