@@ -83,7 +83,7 @@ FROM build AS project
 RUN python -m uv venv /opt/gaitway
 WORKDIR /opt/gaitway/source
 COPY . .
-# Editable, as in a clone: the usual wheel holds only the client.
+# Editable, as in a clone: the usual wheel has the service's packages aside.
 RUN python -m hatchling build -t wheel:editable -d /tmp/wheel \
     && python -m uv pip install --python /opt/gaitway/bin/python --no-deps /tmp/wheel/*.whl \
     && chmod -R a+rX . \

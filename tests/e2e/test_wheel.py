@@ -15,10 +15,7 @@ from packaging.specifiers import SpecifierSet
 from tests.e2e.installed import ROOT, Installed
 
 # What works only in a clone, or in the images.
-_CLONES_OWN = {
-    "api/vendoring.py",
-    *(f"gaitway/service/{name}.py" for name in ("compose", "settings_page", "site")),
-}
+_CLONES_OWN = {f"gaitway/service/{name}.py" for name in ("compose", "settings_page", "site", "vendoring")}
 
 
 def test_the_wheel_holds_the_service_in_a_folder_of_its_own(installed: Installed) -> None:
