@@ -1,6 +1,6 @@
 """Prints the test files that import what has changed since `main`, themselves or through others.
 
-What a test starts as a process, or reads as a file, it does not import: `./run test` sees that.
+A test does not import the processes that it starts or the files that it reads: `./run test` covers those.
 """
 
 import re

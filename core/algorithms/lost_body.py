@@ -112,7 +112,7 @@ def first_lost(steps: Steps, lost: jax.Array) -> LostBody:
 
 
 def earlier(before: LostBody | None, after: LostBody | None, num_updates: jax.Array) -> LostBody | None:
-    """What the run lost first. after: in the update that followed `num_updates` [] int32 ones."""
+    """The first that the run lost. after: that of the update that followed `num_updates` [] int32 ones."""
     if before is None or after is None:
         return after
     dated = replace(after, update=num_updates)

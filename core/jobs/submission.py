@@ -207,7 +207,7 @@ def import_run(
 ) -> Job:
     """Store the run; or return the job that an earlier import with the same key created.
 
-    Of a run that is refused, nothing is left. Files that cannot be removed, because a process or a store has
+    A run that is refused leaves nothing. Files that cannot be removed, because a process or a store has
     failed, are removed by the sweep of orphans (`core.jobs.orphans`).
     Raises BadExport, IdempotencyKeyReused, RecordsUnavailable, StorageUnavailable.
     """

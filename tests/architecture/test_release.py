@@ -1,4 +1,4 @@
-"""What a release must not be without: one version everywhere, and no half of a merge in a page."""
+"""A release has one version everywhere, and no file holds half of a merge."""
 
 import subprocess
 import tomllib

@@ -14,7 +14,7 @@ from packaging.specifiers import SpecifierSet
 
 from tests.e2e.installed import ROOT, Installed
 
-# What works only in a clone, or in the images.
+# These work only in a clone, or in the images.
 _CLONES_OWN = {f"gaitway/service/{name}.py" for name in ("compose", "settings_page", "site", "vendoring")}
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from worker.confinement import landlock, privileges
 
 _CODE = Path(__file__).resolve().parents[2]
-# Whatever of sys.path lies around this is not ours: a checkout may hold an `.env`, and the folder around
-# `site-packages` may be the user's home.
+# Folders of sys.path that lie around this one are not ours: a checkout may hold an `.env`, and the folder
+# around `site-packages` may be the user's home.
 _AROUND_OURS = _CODE.parents[2] if _CODE.name == "_service" else _CODE
 _PACKAGES = ("core", "worker")
 # Programs, libraries and drivers, and what they ask about the machine. Of /etc, what is no secret.

@@ -62,7 +62,7 @@ class NotPlain(OSError):
 def open_plain(folder: Path, name: str) -> BufferedReader:
     """A regular file in the folder, for reading: it follows no link, and waits for no pipe.
 
-    Whoever needs its size asks the open file: under the name may be another one by now.
+    Ask the open file for its size: another file may have its name by now.
     Raises NotPlain, and FileNotFoundError.
     """
     if Path(name).name != name:

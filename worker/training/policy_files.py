@@ -13,7 +13,7 @@ RETURN = "eval/episode_reward"
 class BestPolicy:
     """Keeps `policy-best`, and replaces it after each better evaluation of the job, over all its attempts.
 
-    Of equal returns the first counts: an attempt that repeats steps of the one before changes nothing.
+    The first of equal returns counts: an attempt that repeats steps of the one before changes nothing.
     before: the best one of the attempts before.
     """
 

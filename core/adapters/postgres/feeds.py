@@ -134,7 +134,7 @@ _OLDEST_METRICS = text(f"""
 # A reader gets a few chunks at a time; each is a request to the object store.
 _MAX_CHUNKS = 4
 _AT_ONCE = {"chunks": _MAX_CHUNKS + 1, "bytes": 2**20}
-# Of a stream, which has each row as an entry; and of the metrics alone.
+# The bytes of blocks in one read: for a stream, which makes an entry of each row; for metrics alone.
 _STREAM_BYTES, _BLOCK_BYTES = 2**17, 2**20
 _MAX_BLOCKS = 2000
 _MAX_DUE = 200
