@@ -78,7 +78,7 @@ JobId = Annotated[str, id_in_path("A job's id."), AfterValidator(check_job_id)]
 EntryId = Annotated[str, Field(json_schema_extra={"pattern": f"^{ENTRY_ID}$"})]
 
 
-class Parameters(BaseModel):
+class QueryParameters(BaseModel):
     """Query parameters; an unknown one is a typo and is refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -38,7 +38,7 @@ _OPEN_DOOR = (
 )
 
 
-class Server(uvicorn.Server):
+class ApiServer(uvicorn.Server):
     """uvicorn's server, which tells open streams to end when it stops."""
 
     def __init__(self, app: FastAPI) -> None:
@@ -97,7 +97,7 @@ class _Process(multiprocess.Process):
     @property
     def server(self) -> uvicorn.Server:
         if self._server is None:
-            self._server = Server(from_environment())
+            self._server = ApiServer(from_environment())
         return self._server
 
     def target(self, sockets: list[socket.socket] | None = None) -> None:
@@ -192,7 +192,7 @@ def _serve(host: str, port: int) -> None:
         announce = partial(log.info, "service_listens", host=host, port=port, processes=number)
         if number == 1:
             announce()
-            Server(app).run(sockets=[listener])
+            ApiServer(app).run(sockets=[listener])
         else:
             serve(listener, number, on_ready=announce)
 

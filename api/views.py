@@ -56,20 +56,20 @@ def answer(view: BaseModel, status: int = 200, headers: Mapping[str, str] | None
     return Response(view.model_dump_json(), status, headers, media_type="application/json")
 
 
-class Answer(BaseModel):
+class ServiceAnswer(BaseModel):
     """A document that the service alone knows."""
 
     model_config = ConfigDict(frozen=True)
 
 
-class Listing(Answer, Generic[Item]):
+class Listing(ServiceAnswer, Generic[Item]):
     """A page of items, and the cursor of the next page; null at the end."""
 
     items: Sequence[Item]
     next: str | None = None
 
 
-class Health(Answer):
+class Health(ServiceAnswer):
     """status: `ok`; anything else is a problem."""
 
     status: str = "ok"
@@ -185,7 +185,7 @@ def _sweep_facts(sweep: Sweep, trials: Sequence[Trial], seen: Sequence[TrialView
     }
 
 
-class AlgorithmView(Answer):
+class AlgorithmView(ServiceAnswer):
     """An algorithm, and the JSON Schema of its hyperparameters."""
 
     kind: str

@@ -22,7 +22,7 @@ class ServerSentEvent:
     id: str
 
 
-class Lines:
+class LineReader:
     """Makes lines of a UTF-8 stream; only CR, LF and CRLF end one (unlike `str.splitlines`)."""
 
     def __init__(self) -> None:
@@ -41,7 +41,7 @@ class Stream:
     """
 
     def __init__(self, last_id: str = "") -> None:
-        self._lines = Lines()
+        self._lines = LineReader()
         self._last_id = last_id
         self._kind = ""
         self._data = list[str]()

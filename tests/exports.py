@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from core.algorithms.brax_training import init_normalizer
-from core.algorithms.export.contract import Origin, contract
-from core.algorithms.export.network import Network, network_of
+from core.algorithms.export.contract import PolicyOrigin, contract
+from core.algorithms.export.network import PolicyNetwork, network_of
 from core.algorithms.export.numpy_file import numpy_file
 from core.algorithms.export.onnx_file import onnx_file
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
@@ -25,7 +25,7 @@ from gaitway import exported_policy
 
 Numbers = NDArray[np.float32]
 
-ORIGIN = Origin("ppo", "ant", {"gravity": 9.81}, step_s=0.05, trained_steps=3)
+ORIGIN = PolicyOrigin("ppo", "ant", {"gravity": 9.81}, step_s=0.05, trained_steps=3)
 
 
 def policy_file(settings: PPOSpec | SACSpec, seen: Any, action_size: int) -> bytes:
@@ -59,7 +59,7 @@ def _random_network(sizes: Sequence[int]) -> Any:
     return {"params": layers}
 
 
-def files(network: Network, origin: Origin = ORIGIN) -> tuple[bytes, bytes]:
+def files(network: PolicyNetwork, origin: PolicyOrigin = ORIGIN) -> tuple[bytes, bytes]:
     """Those for NumPy and ONNX."""
     about = contract(network, origin)
     return numpy_file(network, about), onnx_file(network, about)

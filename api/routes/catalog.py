@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query
 from pydantic import Field
 
-from api.dependencies import Parameters, ServiceDep
+from api.dependencies import QueryParameters, ServiceDep
 from api.problems import refusals
 from api.submissions import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
 from api.views import AlgorithmView, Listing, environment_details, environment_view
@@ -91,7 +91,7 @@ def list_algorithms() -> Listing[AlgorithmView]:
     )
 
 
-class ListedWorkers(Parameters):
+class WorkerFilters(QueryParameters):
     """A part of the listing."""
 
     # The pattern documents; the store's own check gives a better message.
@@ -105,7 +105,7 @@ class ListedWorkers(Parameters):
 
 
 @router.get("/workers", responses=refusals(Rejected, RecordsUnavailable))
-def list_workers(listed: Annotated[ListedWorkers, Query()], service: ServiceDep) -> Listing[WorkerView]:
+def list_workers(listed: Annotated[WorkerFilters, Query()], service: ServiceDep) -> Listing[WorkerView]:
     """The workers that have sent a heartbeat lately, by name."""
     page = service.store.list_workers(cursor=listed.cursor, limit=listed.limit)
     items = [WorkerView.model_validate(worker) for worker in page.workers]

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, cast
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import Field
 
-from api.dependencies import JobId, Parameters, ServiceDep
+from api.dependencies import JobId, QueryParameters, ServiceDep
 from api.files import file_response, responses
 from api.problems import refusals
 from api.views import Listing, answer, artifact_view
@@ -36,7 +36,7 @@ OfSeed = Annotated[
 ]
 
 
-class Picture(Parameters):
+class Picture(QueryParameters):
     """Selects a video or poster; by default the newest."""
 
     step: int | None = Field(None, ge=0, le=10**18, description="The one of the checkpoint with this step.")
@@ -54,7 +54,7 @@ class Picture(Parameters):
 Asked = Annotated[Picture, Query()]
 
 
-class PolicyFile(Parameters):
+class PolicyQuery(QueryParameters):
     """Selects a policy and its form."""
 
     which: Literal["last", "best"] = Field(
@@ -121,7 +121,7 @@ def read_poster(
 
 @_file_route("/jobs/{job_id}/policy", "application/octet-stream")
 def read_policy(
-    job_id: JobId, asked: Annotated[PolicyFile, Query()], service: ServiceDep, request: Request
+    job_id: JobId, asked: Annotated[PolicyQuery, Query()], service: ServiceDep, request: Request
 ) -> Response:
     """The trained policy: in its algorithm's own file, or for programs without this project."""
     return file_response(request, _policy(service.store.get(job_id), asked), service)
@@ -179,7 +179,7 @@ _POLICIES: dict[str, tuple[str, ArtifactRole]] = {
 }
 
 
-def _policy(job: Job, asked: PolicyFile) -> Artifact:
+def _policy(job: Job, asked: PolicyQuery) -> Artifact:
     if not isinstance(job.spec, TrainSpec):
         detail = f"Job {job.id} is a rollout, which trains no policy."
         raise ArtifactNotFound(detail, job=job.id, job_status=job.status, artifacts=[], reason=job.reason)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field
 
-from api.dependencies import JobId, Parameters, Service, ServiceDep
+from api.dependencies import JobId, QueryParameters, Service, ServiceDep
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
 from api.shared_reads import max_age_s
 from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
@@ -50,7 +50,7 @@ Label = Annotated[str, Field(json_schema_extra={"pattern": f"^{_LABEL}$"})]
 Cursor = Annotated[str, Field(max_length=100, json_schema_extra={"pattern": f"^{JOB_ID}$"})]
 
 
-class Listed(Parameters):
+class JobFilters(QueryParameters):
     """Filters of a listing; each one given must match."""
 
     status: JobStatus | None = None
@@ -104,7 +104,7 @@ def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep) -> Res
 
 @router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))
 def list_jobs(
-    listed: Annotated[Listed, Query()],
+    listed: Annotated[JobFilters, Query()],
     service: ServiceDep,
     cache_control: Annotated[str, Header(max_length=200)] = "",
 ) -> Response:

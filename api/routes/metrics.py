@@ -9,7 +9,7 @@ from pydantic import Field
 from starlette.responses import StreamingResponse
 
 from api.curves import MOST_VALUES, csv_lines, metrics_rows, thinned
-from api.dependencies import EntryId, JobId, Parameters, Service, ServiceDep
+from api.dependencies import EntryId, JobId, QueryParameters, Service, ServiceDep
 from api.problems import refusals
 from api.views import answer
 from core.errors import JobNotFound, Problem, RecordsUnavailable, Rejected, StorageUnavailable
@@ -36,7 +36,7 @@ _CSV: dict[str, Any] = {
 }
 
 
-class Measured(Parameters):
+class MetricsQuery(QueryParameters):
     """The rows to return, and their format."""
 
     after: EntryId = Field("", description="Only rows after this `next` of an earlier answer.")
@@ -88,7 +88,7 @@ class Measured(Parameters):
     responses={200: _CSV, **refusals(JobNotFound, Rejected, RecordsUnavailable, StorageUnavailable)},
 )
 def read_metrics(
-    job_id: JobId, asked: Annotated[Measured, Query()], service: ServiceDep, request: Request
+    job_id: JobId, asked: Annotated[MetricsQuery, Query()], service: ServiceDep, request: Request
 ) -> Response:
     """All metrics of a job. Of a step that several attempts measured, the newest values.
 
@@ -111,7 +111,7 @@ def read_metrics(
     return answer(Metrics(rows=rows, next=str(page.last) if page.tables else asked.after or None))
 
 
-def _thinned(job_id: str, asked: Measured, points: int, service: Service) -> Response:
+def _thinned(job_id: str, asked: MetricsQuery, points: int, service: Service) -> Response:
     curves, last = feeds.read_curves(job_id, store=service.store, objects=service.objects, names=asked.names)
     rows = thinned(curves, points, asked.names, asked.first_step, asked.last_step)
     return answer(Metrics(rows=rows, next=str(last) if last else None))

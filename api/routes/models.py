@@ -8,7 +8,7 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 
-from api.dependencies import Parameters, Service, ServiceDep
+from api.dependencies import QueryParameters, Service, ServiceDep
 from api.problems import BodyTooLarge, TooManyModels, UnsupportedMediaType, refusals
 from api.submissions import Upload, receiving, with_end
 from api.views import Listing, answer
@@ -65,7 +65,7 @@ ModelId = Annotated[
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f-\x9f]+$")]
 
 
-class Sent(Parameters):
+class Sent(QueryParameters):
     """The parameters that come with the file."""
 
     name: Name | None = Field(None, description="What people call it; several models may have the same name.")
@@ -79,7 +79,7 @@ class Sent(Parameters):
     )
 
 
-class Listed(Parameters):
+class ModelFilters(QueryParameters):
     """A part of the listing."""
 
     # The pattern documents; the store's own check gives a better message.
@@ -161,7 +161,7 @@ async def add_model(
 
 
 @router.get("/models", response_model=Listing[ModelView], responses=refusals(Rejected, RecordsUnavailable))
-def list_models(listed: Annotated[Listed, Query()], service: ServiceDep) -> Response:
+def list_models(listed: Annotated[ModelFilters, Query()], service: ServiceDep) -> Response:
     """Models, the last sent first."""
     page = service.store.list_models(cursor=listed.cursor, limit=listed.limit, name=listed.name)
     items = [_view(record) for record in page.models]

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import JSONResponse
 from pydantic import Field
 
-from api.dependencies import Parameters, Service, ServiceDep
+from api.dependencies import QueryParameters, Service, ServiceDep
 from api.files import file_response
 from api.problems import refusals
 from api.submissions import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, in_the_query, parse_options
@@ -46,7 +46,7 @@ _POLL_S = 0.1
 _MAX_STILLS = 32
 
 
-class PreviewParameters(Parameters):
+class PreviewParameters(QueryParameters):
     """The environment that the stills show, the camera, and what is drawn besides the body."""
 
     options: str = Field(

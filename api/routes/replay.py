@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
-from api.dependencies import JobId, Parameters, ServiceDep
+from api.dependencies import JobId, QueryParameters, ServiceDep
 from api.files import file_response, responses
 from api.routes.files import OfSeed, absence, check_seed, last_made, of_seed
 from core.algorithms.catalog import ALGORITHMS
@@ -16,7 +16,7 @@ from core.jobs.spec import TrainSpec
 router = APIRouter(tags=["files"])
 
 
-class ReplayQuery(Parameters):
+class ReplayQuery(QueryParameters):
     """Selects a replay; by default the newest."""
 
     step: int | None = Field(None, ge=0, le=10**18, description="The one of the checkpoint with this step.")

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field
 from starlette.responses import StreamingResponse
 
-from api.dependencies import EntryId, JobId, Parameters, ServiceDep
+from api.dependencies import EntryId, JobId, QueryParameters, ServiceDep
 from api.problems import refusals
 from api.streams import HEADERS, MEDIA_TYPE, Follower, event_stream, look
 from core.errors import JobNotFound, RecordsUnavailable, Rejected, StorageUnavailable
@@ -22,7 +22,7 @@ EventKind = Literal["status", "progress", "metrics", "artifact", "phase", "note"
 _HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "X-Accel-Buffering": "no"}
 
 
-class After(Parameters):
+class After(QueryParameters):
     """after: the id of the last event seen; the header Last-Event-ID means the same and takes precedence."""
 
     after: EntryId = ""
@@ -60,7 +60,7 @@ async def follow_events(
     return StreamingResponse(stream, headers=HEADERS, media_type=MEDIA_TYPE)
 
 
-class Lines(Parameters):
+class LogQuery(QueryParameters):
     """follow: continue until the job ends."""
 
     follow: bool = False
@@ -74,7 +74,7 @@ class Lines(Parameters):
         **refusals(JobNotFound, Rejected, RecordsUnavailable, StorageUnavailable),
     },
 )
-async def read_logs(job_id: JobId, asked: Annotated[Lines, Query()], service: ServiceDep) -> Response:
+async def read_logs(job_id: JobId, asked: Annotated[LogQuery, Query()], service: ServiceDep) -> Response:
     """The log of all attempts so far; with `follow=true` also new lines until the job ends."""
     job, _ = await to_thread.run_sync(look, service, job_id, "logs")
     stream = _text(Follower(service, job, "logs", 0), follow=asked.follow)

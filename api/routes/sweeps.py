@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 from pydantic import AfterValidator, Field
 
-from api.dependencies import Parameters, Service, ServiceDep, id_in_path
+from api.dependencies import QueryParameters, Service, ServiceDep, id_in_path
 from api.openapi import EXAMPLES
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
 from api.routes.jobs import Cursor
@@ -45,7 +45,7 @@ def _body(schema: str, examples: Mapping[str, Any]) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": {"application/json": content}}}
 
 
-class Listed(Parameters):
+class SweepFilters(QueryParameters):
     """Filters of a listing."""
 
     status: SweepStatus | None = None
@@ -76,7 +76,7 @@ def submit(spec: SubmittedSweep, key: IdempotencyKey, service: ServiceDep) -> Re
 
 
 @router.get("/sweeps", response_model=Listing[SweepView], responses=refusals(Rejected, RecordsUnavailable))
-def list_sweeps(listed: Annotated[Listed, Query()], service: ServiceDep) -> Response:
+def list_sweeps(listed: Annotated[SweepFilters, Query()], service: ServiceDep) -> Response:
     """Sweeps, newest first."""
     page = service.store.list_sweeps(status=listed.status, cursor=listed.cursor, limit=listed.limit)
     trials = service.store.trials([sweep.id for sweep in page.sweeps])

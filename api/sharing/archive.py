@@ -57,7 +57,7 @@ _PIECE = 2**20
 _ENCRYPTED = 1
 
 
-class Format(Stored):
+class ArchiveFormat(Stored):
     format: Annotated[int, Field(ge=0, le=10**9)] = FORMAT
 
 
@@ -71,12 +71,12 @@ class Contents(Stored):
     files: Annotated[tuple[ExportedFile, ...], Field(max_length=MOST_FILES)]
 
 
-class Package(Stored):
+class ArchivePackage(Stored):
     gaitway: Annotated[str, Field(max_length=100)]
 
 
 class Versions(Stored):
-    service: Package
+    service: ArchivePackage
 
 
 class ExportedArtifact(Stored):
@@ -127,7 +127,7 @@ class Record(Stored):
     artifacts: Annotated[tuple[ExportedArtifact, ...], Field(max_length=MOST_FILES)] = ()
 
 
-class Row(Stored):
+class ArchiveRow(Stored):
     """A line of `metrics.jsonl`."""
 
     step: PastStep
@@ -147,7 +147,7 @@ class _Bounded(io.FileIO):
         return body or b""
 
 
-class Archive:
+class JobArchive:
     """A zip whose names and sizes are harmless; `open_archive` makes it. names: those of its files."""
 
     def __init__(self, file: ZipFile) -> None:
@@ -200,7 +200,7 @@ class Archive:
 
 
 @contextmanager
-def open_archive(path: Path, limit: int) -> Generator[Archive]:
+def open_archive(path: Path, limit: int) -> Generator[JobArchive]:
     """The zip at this path. limit: bytes that all its files may have, unpacked. Raises BadExport."""
     with _Bounded(path) as file:
         with _reading("This is not a zip file, or only a part of one"):
@@ -208,7 +208,7 @@ def open_archive(path: Path, limit: int) -> Generator[Archive]:
         file.most = _LONGEST_READ
         with archive:
             _check(archive.infolist(), limit)
-            yield Archive(archive)
+            yield JobArchive(archive)
 
 
 def _check(entries: list[ZipInfo], limit: int) -> None:

@@ -45,7 +45,7 @@ _README = (
 
 
 @dataclass(frozen=True)
-class Member:
+class ZipMember:
     """A file of the zip. pieces: read as it is sent. compress: whether that makes it smaller."""
 
     path: str
@@ -73,7 +73,7 @@ class _Pipe(io.RawIOBase):
         return taken
 
 
-def zip_stream(members: Iterable[Member]) -> Iterator[bytes]:
+def zip_stream(members: Iterable[ZipMember]) -> Iterator[bytes]:
     """The bytes of a zip (64-bit where needed) of these members, in about the pieces that they come in.
 
     An error of a member's pieces ends it, so that what arrived has no directory and no program opens it.
@@ -105,7 +105,7 @@ class _Contents:
         self.missing.append({"part": part, "why": why})
 
 
-def export(job: Job, service: Service) -> Iterator[Member]:
+def export(job: Job, service: Service) -> Iterator[ZipMember]:
     """The members, each read from the stores when it is sent. What is missing is named in `contents.json`.
 
     Raises RecordsUnavailable and StorageUnavailable, before the first member or in the middle of a later one.
@@ -117,9 +117,9 @@ def export(job: Job, service: Service) -> Iterator[Member]:
     yield _json("spec.json", spec)
     yield _json("job.json", job_view(job).model_dump(mode="json"))
     yield _json("versions.json", versions(job))
-    yield Member("metrics.csv", map(str.encode, csv_lines(_metrics(job, service), newest)))
-    yield Member("metrics.jsonl", json_lines(map(newest.of, _metrics(job, service))))
-    yield Member("log.txt", _log(job, service))
+    yield ZipMember("metrics.csv", map(str.encode, csv_lines(_metrics(job, service), newest)))
+    yield ZipMember("metrics.jsonl", json_lines(map(newest.of, _metrics(job, service))))
+    yield ZipMember("log.txt", _log(job, service))
     yield from _model(job, service, contents)
     if (source := job.spec.source) is not None:
         contents.lacks(f"the checkpoint of job {source.job}", "that is another job, which has its own export")
@@ -160,7 +160,7 @@ def _metrics(job: Job, service: Service) -> Iterator[Block]:
     return (block for block, _ in parts)
 
 
-def _model(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:
+def _model(job: Job, service: Service, contents: _Contents) -> Iterator[ZipMember]:
     """The user's own model, if the job has one."""
     model_id = model_of(job.spec.environment)
     if model_id is None:
@@ -179,7 +179,7 @@ def _model(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:
         contents.files.append({"path": name, "sha256": model_id.removeprefix("sha256:"), "size": record.size})
 
 
-def _files(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:
+def _files(job: Job, service: Service, contents: _Contents) -> Iterator[ZipMember]:
     there = [artifact for artifact in job.artifacts if artifact.role not in _LEFT_OUT]
     chosen = [file for file in there if file.role not in _NEWEST_ALONE]
     newest = (job.newest(role, seed=seed) for role in _NEWEST_ALONE for seed in job.seeds or (None,))
@@ -211,18 +211,18 @@ def _shrinks(file: Artifact) -> bool:
     return file.media_type.startswith("text/") or file.media_type == "application/json"
 
 
-def _stored(path: str, key: str, sha256: str, service: Service, *, compress: bool) -> Iterator[Member]:
+def _stored(path: str, key: str, sha256: str, service: Service, *, compress: bool) -> Iterator[ZipMember]:
     """One object, read twice. Raises ObjectNotFound or ObjectDamaged before the member begins."""
     check_whole(key, sha256, service.objects)
     with service.objects.open(key) as pieces:
-        yield Member(path, pieces, compress)
+        yield ZipMember(path, pieces, compress)
 
 
-def _text(path: str, text: str) -> Member:
-    return Member(path, [text.encode()])
+def _text(path: str, text: str) -> ZipMember:
+    return ZipMember(path, [text.encode()])
 
 
-def _json(path: str, document: Mapping[str, Any]) -> Member:
+def _json(path: str, document: Mapping[str, Any]) -> ZipMember:
     return _text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 

@@ -12,7 +12,7 @@ from pydantic_core import from_json, to_json
 
 from api.dependencies import Service
 from api.sentences import body_problems
-from api.sharing.archive import Archive, Contents, Format, Record, Row, Versions
+from api.sharing.archive import ArchiveFormat, ArchiveRow, Contents, JobArchive, Record, Versions
 from api.sharing.export import FORMAT
 from api.submissions import parse
 from core.algorithms.catalog import reported
@@ -25,7 +25,7 @@ from core.jobs.resolved import filled_in, resolve_environment
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, metrics_entries, status_entry
-from core.jobs.submission import ImportedFile, Run
+from core.jobs.submission import ImportedFile, ImportedRun
 from core.reasons import Reason
 from core.storage import keys
 from core.user_models import library
@@ -55,7 +55,7 @@ class _Feed:
         return self.read()
 
 
-def read_run(archive: Archive, service: Service) -> Run:
+def read_run(archive: JobArchive, service: Service) -> ImportedRun:
     """The run under a new id. All of the archive has been read and checked. Raises BadExport."""
     _check_format(archive)
     contents = _parsed(archive, "contents.json", Contents)
@@ -72,11 +72,11 @@ def read_run(archive: Archive, service: Service) -> Run:
     logs = _Feed(partial(_log, archive, end))
     for _ in logs:  # All of it is read before anything is stored.
         pass
-    return Run(job, files, _Feed(partial(_events, rows, job)), logs)
+    return ImportedRun(job, files, _Feed(partial(_events, rows, job)), logs)
 
 
-def _check_format(archive: Archive) -> None:
-    found = _parsed(archive, "contents.json", Format).format
+def _check_format(archive: JobArchive) -> None:
+    found = _parsed(archive, "contents.json", ArchiveFormat).format
     if found > FORMAT:
         raise BadExport(
             f"A newer version of Gaitway wrote this export: it has the format {found}, and this service "
@@ -84,7 +84,7 @@ def _check_format(archive: Archive) -> None:
         )
 
 
-def _parsed(archive: Archive, name: str, kind: type[Document]) -> Document:
+def _parsed(archive: JobArchive, name: str, kind: type[Document]) -> Document:
     body = archive.document(name)
     try:
         return kind.model_validate_json(body)
@@ -177,7 +177,7 @@ def _check_job(job: Job, service: Service) -> None:
         ) from error
 
 
-def _files(archive: Archive, contents: Contents, record: Record, job_id: str) -> list[ImportedFile]:
+def _files(archive: JobArchive, contents: Contents, record: Record, job_id: str) -> list[ImportedFile]:
     """The files that the record and the archive have; the model's is checked only."""
     listed = {file.path for file in contents.files}
     if len(listed) < len(contents.files):
@@ -208,11 +208,11 @@ def _events(rows: Block, job: Job) -> Iterator[Entry]:
     yield status_entry(job, job.finished_at)
 
 
-def _rows(archive: Archive) -> Iterator[Measurement]:
+def _rows(archive: JobArchive) -> Iterator[Measurement]:
     kinds, names, num_values = set[frozenset[str]](), set[str](), 0
     for number, line in _lines(archive, "metrics.jsonl"):
         try:
-            row = Row.model_validate_json(line)
+            row = ArchiveRow.model_validate_json(line)
         except ValidationError as error:
             raise _unreadable(f"metrics.jsonl, line {number},", error, line) from None
         if (num_values := num_values + len(row.values)) > MOST_VALUES:
@@ -227,7 +227,7 @@ def _rows(archive: Archive) -> Iterator[Measurement]:
         yield Measurement(number, row.step, row.time.timestamp(), row.values)
 
 
-def _lines(archive: Archive, name: str) -> Iterator[tuple[int, bytes]]:
+def _lines(archive: JobArchive, name: str) -> Iterator[tuple[int, bytes]]:
     """The file's lines with their numbers."""
     for number, line in enumerate(archive.lines(name), 1):
         if number > MOST_LINES:
@@ -248,7 +248,7 @@ def _check_names(num_names: int, num_kinds: int, line: int) -> None:
         )
 
 
-def _log(archive: Archive, time: datetime) -> Iterator[Entry]:
+def _log(archive: JobArchive, time: datetime) -> Iterator[Entry]:
     """An export has no times of lines: all get that of the run's end."""
     size = 0
     for number, line in _lines(archive, "log.txt"):

@@ -76,7 +76,7 @@ class _NoReplay(Enum):
 
 
 @dataclass(frozen=True)
-class Report:
+class ReportFile:
     """The file in parts, of which stored files are read as they are sent. policy: under which it works."""
 
     policy: str
@@ -88,7 +88,7 @@ class Report:
 
 
 @contextmanager
-def open_report(job: Job, service: Service) -> Generator[Report]:
+def open_report(job: Job, service: Service) -> Generator[ReportFile]:
     """The report; within the context its files are open. Raises RecordsUnavailable, StorageUnavailable."""
     with ExitStack() as opened:
 
@@ -109,10 +109,10 @@ def open_report(job: Job, service: Service) -> Generator[Report]:
         yield _whole(policy, [f"{_head(job, policy)}{facts(job)}".encode(), *parts, after.encode()])
 
 
-def _whole(policy: str, parts: Sequence[bytes | _Held]) -> Report:
+def _whole(policy: str, parts: Sequence[bytes | _Held]) -> ReportFile:
     size = size_in_words(sum(map(len, parts)))
     end = f'<p class="soft">This file has {size} and needs no network.</p></main></body></html>\n'
-    return Report(policy, [*parts, end.encode()])
+    return ReportFile(policy, [*parts, end.encode()])
 
 
 def _head(job: Job, policy: str) -> str:

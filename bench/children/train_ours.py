@@ -16,7 +16,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[steps, seconds of training until then], …]; curve: [[steps, value of the mark's metric, or
     the return, seconds from the call], …]; reached_s: of them, at the mark, or null; reached_at: the hour of
     that; first_update_s and ended_s: from the call; engine."""
-    from core.algorithms.events import Evaluated, Phase, Progress
+    from core.algorithms.events import Evaluated, Phase, TrainingProgress
     from core.algorithms.run import make_run
     from core.algorithms.seeds import make_seeds_run
     from core.environments import catalog
@@ -44,7 +44,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         match event:
             case Phase(name="first_update"):
                 told["first_update_s"] = seconds
-            case Progress(step=step, metrics=metrics):
+            case TrainingProgress(step=step, metrics=metrics):
                 told["training"].append((step, metrics["training/walltime"]))
             case Evaluated(step=step, metrics=metrics):
                 reached_at = time.time()

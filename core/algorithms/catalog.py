@@ -9,7 +9,7 @@ from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapV
 
 from core.algorithms.dqn import spec as dqn
 from core.algorithms.dqn import tuned as dqn_tuned
-from core.algorithms.memory import Memory
+from core.algorithms.memory import MemoryNeed
 from core.algorithms.ppo import spec as ppo
 from core.algorithms.ppo import tuned as ppo_tuned
 from core.algorithms.q_learning import checks as q_learning
@@ -60,7 +60,7 @@ class AlgorithmInfo:
     policy: str
     tuned: Callable[[EnvironmentInfo, Device], BaseSpec] | None = None
     refusal: Callable[[Any, EnvironmentInfo, Device], Rejected | None] = lambda *_: None
-    least_memory: Callable[[Any, EnvironmentInfo, int], Memory] = lambda *_: Memory([])
+    least_memory: Callable[[Any, EnvironmentInfo, int], MemoryNeed] = lambda *_: MemoryNeed([])
     environment_options: Callable[[Any, str], Mapping[str, Any]] = lambda *_: {}
     no_export: str | None = "this version writes them in one form alone"
 
@@ -150,7 +150,7 @@ def reported(hyperparameters: Mapping[str, Any]) -> BaseSpec:
     return spec.model_validate({name: hyperparameters[name] for name in {*hyperparameters} - foreign})
 
 
-def least_memory(settings: BaseSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
+def least_memory(settings: BaseSpec, environment: EnvironmentInfo, num_devices: int) -> MemoryNeed:
     """The memory that a run under these resolved values certainly needs on each of its devices."""
     return ALGORITHMS[settings.algorithm()].least_memory(settings, environment, num_devices)
 

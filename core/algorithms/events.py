@@ -28,7 +28,7 @@ class Phase:
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """Training reached `step` of `total` environment steps; metrics by Brax's names (`training/...`)."""
 
     step: int
@@ -91,4 +91,4 @@ class BodyLost:
         return cls(step, int(lost.env), lost.of_the_episode(), seed)
 
 
-Event = Phase | Progress | Evaluating | Evaluated | CheckpointReady | SeedDiverged | BodyLost
+Event = Phase | TrainingProgress | Evaluating | Evaluated | CheckpointReady | SeedDiverged | BodyLost

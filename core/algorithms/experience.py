@@ -41,7 +41,7 @@ class Starts:
 
 
 @struct.dataclass
-class Outcome:
+class StepOutcomes:
     """The experience of T steps in N environments; arrays [T, N].
 
     fell: 1 where the episode ended, though not by its length. lost: of these, 1 where the body's state was
@@ -69,14 +69,14 @@ def collect(
     *,
     episode_length: int,
     starts: Starts | None = None,
-) -> tuple[Episodes, tuple[Transition, Outcome]]:
+) -> tuple[Episodes, tuple[Transition, StepOutcomes]]:
     """Act once with each of the keys [num_steps, ...]; the results' first axes are [num_steps, num_envs].
 
     starts: None if every environment returns to its own first state, which `episodes` then holds.
     """
     where = jax.vmap(body_position(envs.environment.model, envs.environment.tracked_body))
 
-    def act(episodes: Episodes, given: Any) -> tuple[Episodes, tuple[Transition, Outcome]]:
+    def act(episodes: Episodes, given: Any) -> tuple[Episodes, tuple[Transition, StepOutcomes]]:
         key, chosen = given
         action, extras = policy(episodes.state.obs, key)
         fresh = None if starts is None else draw(starts.pool, chosen)
@@ -90,7 +90,7 @@ def collect(
             next_observation=after.state.obs,
             extras=cast("Any", {"policy_extras": extras, "state_extras": {"truncation": after.truncated}}),
         )
-        outcome = Outcome(
+        outcome = StepOutcomes(
             reward=after.state.reward,
             ended_length=after.ended_length,
             ended_score=after.ended_score,
@@ -138,7 +138,7 @@ def bootstrap_timeouts(transitions: Transition, discounting: Scalar, reward_scal
     )
 
 
-def of_whole_episodes(outcome: Outcome, actions_before: Int[Array, ""]) -> Outcome:
+def of_whole_episodes(outcome: StepOutcomes, actions_before: Int[Array, ""]) -> StepOutcomes:
     """The outcome without the ends of episodes that, judged by their length, began before the run.
 
     actions_before: [] int32, how often every environment had acted before.
@@ -157,13 +157,13 @@ def of_whole_episodes(outcome: Outcome, actions_before: Int[Array, ""]) -> Outco
     )
 
 
-def lost_too_many(outcome: Outcome) -> Bool[Array, " T"]:
+def lost_too_many(outcome: StepOutcomes) -> Bool[Array, " T"]:
     """The time steps that lost a body, if more than one did, and more than `_MOST_LOST` of all; else none."""
     most = max(1.0, _MOST_LOST * outcome.lost.size)
     return jnp.any(outcome.lost > 0, axis=1) & (jnp.sum(outcome.lost) > most)
 
 
-def summarise(outcome: Outcome) -> dict[str, Float[Array, ""]]:
+def summarise(outcome: StepOutcomes) -> dict[str, Float[Array, ""]]:
     """Sums over one update, [] float32: finished episodes, their scores and lengths, and how many fell.
 
     Also means over its steps: the control effort, every metric of the environment by its own name (the speed
@@ -211,7 +211,7 @@ def decayed(
     return start * (end / start) ** share
 
 
-def find_failure(next_observation: Any, outcome: Outcome, learnt: Sequence[jax.Array]) -> Failure:
+def find_failure(next_observation: Any, outcome: StepOutcomes, learnt: Sequence[jax.Array]) -> Failure:
     """Which quantities of an update were not finite. Each may spoil those after it.
 
     next_observation: arrays [T, N, size]. learnt: for each further quantity, [] bool, true where it is not

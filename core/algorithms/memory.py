@@ -13,7 +13,7 @@ _UNITS = ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB")
 
 
 @dataclass(frozen=True)
-class Part:
+class MemoryPart:
     """Something in each device's memory. bytes: on one device; lower: the settings that make it smaller."""
 
     what: str
@@ -22,10 +22,10 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Memory:
+class MemoryNeed:
     """The parts of a run."""
 
-    parts: Sequence[Part]
+    parts: Sequence[MemoryPart]
 
     @property
     def bytes(self) -> int:
@@ -37,7 +37,7 @@ class Memory:
         """The settings that make the largest part smaller."""
         return max(self.parts, key=lambda part: part.bytes).lower
 
-    def of_seeds(self, num_seeds: int) -> "Memory":
+    def of_seeds(self, num_seeds: int) -> "MemoryNeed":
         """The memory of as many such runs side by side."""
         if num_seeds == 1:
             return self
@@ -45,7 +45,7 @@ class Memory:
         parts = [
             replace(part, bytes=num_seeds * part.bytes, lower=(*part.lower, fewer)) for part in self.parts
         ]
-        return Memory(parts)
+        return MemoryNeed(parts)
 
     def does_not_fit(self, limit_bytes: int, where: str) -> str:
         """The error message. where: what has this limit."""

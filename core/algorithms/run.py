@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 from core.algorithms.algorithm import Algorithm, Failure, RunSettings, S
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.compiled_functions import CompiledFunctions, in_phases, place, trace
-from core.algorithms.events import BodyLost, CheckpointReady, Evaluated, Evaluating, Event, Phase, Progress
+from core.algorithms.events import (
+    BodyLost,
+    CheckpointReady,
+    Evaluated,
+    Evaluating,
+    Event,
+    Phase,
+    TrainingProgress,
+)
 from core.algorithms.profiling import UpdateTimes, update_times
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
@@ -71,7 +79,7 @@ class Run(Generic[S]):
     ) -> None:
         self._algorithm = algorithm
         self._hyperparameters = jax.device_put(algorithm.hyperparameters, algorithm.sharding.of_axes())
-        self._loop = Loop.of(algorithm.settings, checkpoint_every_steps, epoch_s)
+        self._loop = TrainingLoop.of(algorithm.settings, checkpoint_every_steps, epoch_s)
         self._state: S | None = None
         self._functions: CompiledFunctions[S] | None = None
         self._lost: BodyLost | None = None
@@ -234,7 +242,7 @@ class Schedule:
         )
 
 
-class Loop:
+class TrainingLoop:
     """Counts a run's updates, and decides what is due when.
 
     epoch_s: an epoch's target duration in seconds; it only changes how often Progress comes.
@@ -248,7 +256,7 @@ class Loop:
         self._training_s = self._evaluation_s = 0.0
 
     @classmethod
-    def of(cls, settings: RunSettings, checkpoint_every_steps: int | None, epoch_s: float) -> "Loop":
+    def of(cls, settings: RunSettings, checkpoint_every_steps: int | None, epoch_s: float) -> "TrainingLoop":
         """The loop of a run under these settings."""
         schedule = Schedule(
             settings.num_updates, settings.env_steps_per_update, settings.num_evals, checkpoint_every_steps
@@ -296,7 +304,7 @@ class Loop:
             self._training_s += seconds
             if first:
                 yield Phase("first_update", seconds)
-            yield Progress(
+            yield TrainingProgress(
                 self.step,
                 self.total,
                 {

@@ -18,7 +18,7 @@ from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.compiled_functions import CompiledFunctions, in_phases, trace_seeds
 from core.algorithms.events import BodyLost, Event, SeedDiverged, metric_of_seed
-from core.algorithms.run import Loop, check_finite, diverged
+from core.algorithms.run import TrainingLoop, check_finite, diverged
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
 from core.errors import JobFailed
@@ -66,7 +66,7 @@ class SeedsRun(Generic[S]):
         self._algorithm = algorithm = algorithms[self._seeds[0]]
         self._keys = jax.tree.map(lambda *keys: jnp.stack(keys), *(one.seed for one in algorithms.values()))
         self._hyperparameters = jax.device_put(algorithm.hyperparameters)
-        self._loop = Loop.of(algorithm.settings, checkpoint_every_steps, epoch_s)
+        self._loop = TrainingLoop.of(algorithm.settings, checkpoint_every_steps, epoch_s)
         self._state: S | None = None
         self._updates = np.zeros(len(self._seeds), np.int32)
         self._is_live = np.ones(len(self._seeds), bool)

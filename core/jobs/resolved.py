@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any, cast
 
 from core.algorithms import catalog as algorithms
-from core.algorithms.memory import Memory
+from core.algorithms.memory import MemoryNeed
 from core.algorithms.spec import BaseSpec
 from core.documents import Strict
 from core.environments import catalog
@@ -53,11 +53,11 @@ class ResolvedJob:
         return self._settings[device]
 
     @property
-    def memory(self) -> Mapping[Device, Memory]:
+    def memory(self) -> Mapping[Device, MemoryNeed]:
         """`memory_on` each kind of device that the job may get; empty for a rollout. Raises Rejected."""
         return {device: self.memory_on(device, self.spec.resources.gpus) for device in self.settings}
 
-    def memory_on(self, device: Device, num_devices: int) -> Memory:
+    def memory_on(self, device: Device, num_devices: int) -> MemoryNeed:
         """The least memory that a training, with all its seeds, needs on each of its devices."""
         spec = cast("TrainSpec", self.spec)
         one = algorithms.least_memory(self.settings_on(device), self.info, num_devices)

@@ -93,7 +93,7 @@ class Idempotency:
 
 
 @dataclass(frozen=True)
-class Page:
+class JobPage:
     """Some jobs, newest first, and the cursor of the next page; None at the end."""
 
     jobs: Sequence[Job | UnreadableJob]
@@ -242,7 +242,7 @@ class JobStore(ModelStore, WorkerStore, Protocol):
 
     def list(
         self, query: JobQuery, *, cursor: str | None = None, limit: int = 50, brief: bool = False
-    ) -> Page:
+    ) -> JobPage:
         """Some of the jobs that match, newest first. cursor: the `next_cursor` of an earlier page.
 
         A page of long records has fewer than `limit`. brief: each has only its newest attempts, without

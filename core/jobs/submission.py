@@ -193,7 +193,7 @@ class ImportedFile:
 
 
 @dataclass(frozen=True)
-class Run:
+class ImportedRun:
     """A run under its new id. events, logs: its feeds; each may be read several times."""
 
     job: Job
@@ -203,7 +203,7 @@ class Run:
 
 
 def import_run(
-    run: Run, *, store: JobStore, objects: ObjectStore, idempotency: Idempotency | None = None
+    run: ImportedRun, *, store: JobStore, objects: ObjectStore, idempotency: Idempotency | None = None
 ) -> Job:
     """Store the run; or return the job that an earlier import with the same key created.
 
@@ -234,7 +234,7 @@ def _put(artifact: Artifact, stream: IO[bytes], objects: ObjectStore) -> None:
         raise BadExport(f"The file {artifact.name[:100]!r} cannot be stored: {error.detail}") from error
 
 
-def _record(run: Run, store: JobStore, idempotency: Idempotency | None) -> Job:
+def _record(run: ImportedRun, store: JobStore, idempotency: Idempotency | None) -> Job:
     """The job once it is stored, or the one that another import with this key has stored meanwhile."""
     try:
         while not store.import_job(run.job, run.events, run.logs, idempotency=idempotency):
@@ -246,6 +246,6 @@ def _record(run: Run, store: JobStore, idempotency: Idempotency | None) -> Job:
     return run.job
 
 
-def _remove_files(run: Run, objects: ObjectStore) -> None:
+def _remove_files(run: ImportedRun, objects: ObjectStore) -> None:
     with suppress(StorageUnavailable):
         objects.delete_prefix(keys.job(run.job.id))

@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from importlib.util import find_spec
 from typing import Literal, Protocol
 
-from core.algorithms.memory import Memory
+from core.algorithms.memory import MemoryNeed
 from core.devices import gpu_indices
 from core.documents import Stored
 from core.environments import catalog
@@ -118,7 +118,7 @@ def packages_for(job: Job) -> Mapping[str, str]:
     return needed
 
 
-def memory_for(spec: JobSpec) -> Mapping[Device, Memory]:
+def memory_for(spec: JobSpec) -> Mapping[Device, MemoryNeed]:
     """The least memory that a training needs on each kind of device; empty where that is not known."""
     try:
         return resolve_job(spec).memory
@@ -204,12 +204,12 @@ def _named(missing: Sequence[str], packages: Mapping[str, str]) -> str:
     return " and ".join(f"{packages[name]} ({how_to_install(name)})" for name in missing)
 
 
-def _has_memory(worker: WorkerInfo, memory: Mapping[Device, Memory]) -> bool:
+def _has_memory(worker: WorkerInfo, memory: Mapping[Device, MemoryNeed]) -> bool:
     need = memory.get(kind_of(worker.device))
     return need is None or worker.memory_bytes is None or need.bytes <= worker.memory_bytes
 
 
-def _too_large(workers: Sequence[WorkerInfo], memory: Mapping[Device, Memory]) -> str:
+def _too_large(workers: Sequence[WorkerInfo], memory: Mapping[Device, MemoryNeed]) -> str:
     largest = max(workers, key=lambda worker: worker.memory_bytes or 0)
     size, device = largest.memory_bytes or 0, kind_of(largest.device)
     return memory[device].does_not_fit(size, f"the largest {device.upper()} of a worker")

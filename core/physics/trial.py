@@ -30,7 +30,7 @@ Arrays = Mapping[str, NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceMotion:
     """C MuJoCo's motion in short tries. begun, ended: its states by MuJoCo's names, [tries, n].
 
     ctrl: [tries, control steps, nu]. share: of the controls' ranges, from which they were drawn.
@@ -48,7 +48,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Difference:
+class EngineDifference:
     """How far an engine is from C MuJoCo, in parts of the motion.
 
     Half of the tries differ by `half` at most, nine of ten by `most`. quantity: the field that differs most.
@@ -74,7 +74,7 @@ class Difference:
         )
 
 
-def record(model: mujoco.MjModel, *, seed: int = 0) -> Reference | None:
+def record(model: mujoco.MjModel, *, seed: int = 0) -> ReferenceMotion | None:
     """A second from the model's start and a second after one of falling, under random controls.
 
     None if C MuJoCo's own state bursts even without controls.
@@ -83,13 +83,13 @@ def record(model: mujoco.MjModel, *, seed: int = 0) -> Reference | None:
         tries = list(_tries(model, share, np.random.default_rng(seed)))
         if len(tries) == 2 * _TRIES_A_SECOND:
             begun, ended, controls = zip(*tries, strict=True)
-            return Reference(
+            return ReferenceMotion(
                 _num_substeps(model), share, _stacked(begun), _stacked(ended), np.array(controls)
             )
     return None
 
 
-def compare(engine: Engine, reference: Reference) -> Difference:
+def compare(engine: Engine, reference: ReferenceMotion) -> EngineDifference:
     """The engine's end of each try beside C MuJoCo's."""
     step = jax.jit(jax.vmap(engine.step))
     state = _set_down(engine, reference)
@@ -103,7 +103,7 @@ def compare(engine: Engine, reference: Reference) -> Difference:
     )
 
 
-def _difference(name: str, ours: NDArray[np.float64], reference: Reference) -> Difference:
+def _difference(name: str, ours: NDArray[np.float64], reference: ReferenceMotion) -> EngineDifference:
     theirs = reference.ended[name]
     moved = theirs - reference.begun[name] if name == "qpos" else theirs
     size = np.abs(moved).max(axis=0)
@@ -111,10 +111,10 @@ def _difference(name: str, ours: NDArray[np.float64], reference: Reference) -> D
     off = (np.abs(ours - theirs) / size).max(axis=1)
     broken = int(np.count_nonzero(~np.isfinite(off)))
     half, most = np.quantile(np.nan_to_num(off, nan=np.inf), (0.5, 0.9), method="lower")
-    return Difference(name, float(half), float(most), broken)
+    return EngineDifference(name, float(half), float(most), broken)
 
 
-def _set_down(engine: Engine, reference: Reference) -> PhysicsState:
+def _set_down(engine: Engine, reference: ReferenceMotion) -> PhysicsState:
     """C MuJoCo's states at the beginnings, as the engine's."""
     begun = {name: jnp.asarray(values, jnp.float32) for name, values in reference.begun.items()}
     state = jax.vmap(engine.reset)(begun["qpos"], begun["qvel"])

@@ -47,7 +47,7 @@ class WarpBuffers:
         with wp.ScopedDevice("cpu"):
             pairs = mjw.put_model(model).nxn_geom_pair_filtered.numpy()
         self._demand = measure(model, pairs)
-        self._batches: dict[tuple[str, int, tuple[str, ...]], _Batch] = {}
+        self._batches: dict[tuple[str, int, tuple[str, ...]], _WorldBatch] = {}
         # One world uses the same kernels as thousands: they compile while JAX traces and compiles.
         in_advance = ThreadPoolExecutor(1)
         self._kernels = in_advance.submit(self._batch, 1, ()) if wp.is_cuda_available() else None
@@ -69,7 +69,7 @@ class WarpBuffers:
         wp.copy(after, batch.after)
         wp.copy(overflow, batch.data.overflow)
 
-    def _batch(self, num_worlds: int, own: tuple[str, ...]) -> "_Batch":
+    def _batch(self, num_worlds: int, own: tuple[str, ...]) -> "_WorldBatch":
         model = mjw.put_model(
             self._model, batch_sizes={name: num_worlds for name in own if not name.startswith("opt.")}
         )
@@ -81,13 +81,15 @@ class WarpBuffers:
         room = capacity(self._demand, num_worlds)
         data = mjw.make_data(self._model, num_worlds, naconmax=room.naconmax, njmax=room.njmax)
         sizes = {name: np.size(model_field(self._model, name)) for name in own}
-        batch = _Batch(model, data, self._num_substeps, self._inputs | sizes, self._outputs, self._derived)
+        batch = _WorldBatch(
+            model, data, self._num_substeps, self._inputs | sizes, self._outputs, self._derived
+        )
         if "geom_pos" in own:
             batch.fixed_geoms = FixedGeoms(self._model, data.qpos.device)
         return batch
 
 
-class _Batch:
+class _WorldBatch:
     """Buffers for one number of worlds, and the programs over them: on a GPU, each is one CUDA graph.
 
     A call copies into `given` and out of `after`, so the graphs stay valid whatever buffers JAX passes.

@@ -12,7 +12,7 @@ from core.rendering.mp4 import CODEC, Mp4Writer, write_png
 from core.rendering.picture_grid import Moment, PictureGrid
 from core.rendering.request import RenderRequest, RenderResult
 from core.rendering.scene import following_view
-from core.rendering.timeline import Motion, Shot, shots, smoothed
+from core.rendering.timeline import EpisodeMotion, Shot, shots, smoothed
 
 # Long enough that steps do not shake the camera, and short enough for it to keep up.
 _CAMERA_SPREAD_S = 0.4
@@ -31,7 +31,7 @@ def camera_names(model: mujoco.MjModel) -> list[str]:
 
 
 def draw(
-    request: RenderRequest, model: mujoco.MjModel, motions: Sequence[Motion], *, gl_backend: str
+    request: RenderRequest, model: mujoco.MjModel, motions: Sequence[EpisodeMotion], *, gl_backend: str
 ) -> RenderResult:
     """Write the requested video and poster. Raises Rejected for unknown or repeated cameras.
 
@@ -81,7 +81,7 @@ def _called(camera: str | int, names: Sequence[str]) -> str:
 
 
 def _moments(
-    grid: PictureGrid, model: mujoco.MjModel, motions: Sequence[Motion], request: RenderRequest
+    grid: PictureGrid, model: mujoco.MjModel, motions: Sequence[EpisodeMotion], request: RenderRequest
 ) -> list[Moment]:
     """The frames of one place: these episodes one after another, a moment for each frame."""
     return [

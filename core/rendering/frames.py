@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from core.rendering import floor
 from core.rendering.gl import context_works
 from core.rendering.request import Overlay
-from core.rendering.scene import TARGET_BODY, Floats, View, prepare, quality_of
+from core.rendering.scene import TARGET_BODY, CameraView, Floats, prepare, quality_of
 
 ModelFields = Mapping[str, NDArray[np.floating[Any]]]
 
@@ -47,7 +47,7 @@ class MujocoRenderer:
     def __init__(
         self,
         model: mujoco.MjModel,
-        view: View,
+        view: CameraView,
         *,
         camera: int | None,
         width: int,

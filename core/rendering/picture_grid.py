@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from core.rendering.frames import ModelFields, MujocoRenderer
 from core.rendering.layout import Layout
 from core.rendering.request import Overlay
-from core.rendering.scene import Floats, View
+from core.rendering.scene import CameraView, Floats
 
 # Pixels from the upper left corner to the words, and of the dark margin around them.
 _OFFSET, _MARGIN = 8, 6
@@ -91,7 +91,7 @@ class PictureGrid:
     def __init__(
         self,
         model: mujoco.MjModel,
-        view: View,
+        view: CameraView,
         cameras: Sequence[int | None],
         names: Sequence[str],
         layout: Layout,

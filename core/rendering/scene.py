@@ -40,7 +40,7 @@ def quality_of(gl_renderer: str) -> Quality:
 
 
 @dataclass(frozen=True)
-class View:
+class CameraView:
     """Where the camera `track` stands. azimuth, elevation: degrees; distance, radius: metres.
 
     body: the body that it follows; None if the body cannot leave its place, and the camera looks at `centre`.
@@ -56,7 +56,7 @@ class View:
     floor: float | None
 
 
-def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> View:
+def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> CameraView:
     """A view of the body's whole kinematic tree at the positions `qpos` [nq].
 
     A body that turns freely is seen from behind its right side, one in a vertical plane from its side, and
@@ -73,10 +73,10 @@ def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> View:
     radius = _radius(model, data, root, centre)
     azimuth, elevation = _angles(model, root)
     ground = floor.floor_below(model, root, centre, radius)
-    return View(azimuth, elevation, 3.4 * radius, radius, centre, body if travels else None, ground)
+    return CameraView(azimuth, elevation, 3.4 * radius, radius, centre, body if travels else None, ground)
 
 
-def prepare(model: mujoco.MjModel, view: View, quality: Quality, *, width: int, height: int) -> None:
+def prepare(model: mujoco.MjModel, view: CameraView, quality: Quality, *, width: int, height: int) -> None:
     """Fit buffers and shadows to the picture, and give the stock grey stage a friendlier look."""
     model.vis.global_.offwidth = width
     model.vis.global_.offheight = height

@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Motion:
+class EpisodeMotion:
     """One episode: time [T] in seconds, strictly rising, positions [T, nq], a target [T, 2 or 3] if any, and
     fields of the model that it has for itself."""
 
@@ -36,7 +36,9 @@ class Shot:
     model: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict[str, Any])
 
 
-def shots(model: mujoco.MjModel, motions: Sequence[Motion], *, fps: int, seconds: float) -> Iterator[Shot]:
+def shots(
+    model: mujoco.MjModel, motions: Sequence[EpisodeMotion], *, fps: int, seconds: float
+) -> Iterator[Shot]:
     """The episodes one after another, sampled `fps` times a second, cut off after `seconds`.
 
     Frame i shows the moment i / fps, so the video plays in real time. There is at least one frame.
@@ -53,14 +55,14 @@ def shots(model: mujoco.MjModel, motions: Sequence[Motion], *, fps: int, seconds
             yield Shot(interpolate(model, motion, own), _held(motion, own), motion.model)
 
 
-def _held(motion: Motion, moments: Floats) -> Floats | None:
+def _held(motion: EpisodeMotion, moments: Floats) -> Floats | None:
     """The target [N, 2 or 3] at `moments` [N], held from the step before."""
     if motion.target is None:
         return None
     return motion.target[np.searchsorted(motion.time, moments + 1e-9, side="right") - 1]
 
 
-def interpolate(model: mujoco.MjModel, motion: Motion, moments: Floats) -> Floats:
+def interpolate(model: mujoco.MjModel, motion: EpisodeMotion, moments: Floats) -> Floats:
     """Positions [N, nq] at `moments` [N] in seconds, held at the ends; rotations along the shortest arc."""
     later = np.clip(np.searchsorted(motion.time, moments, side="right"), 1, max(1, len(motion.time) - 1))
     if len(motion.time) == 1:

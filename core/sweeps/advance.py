@@ -13,7 +13,7 @@ from core.sweeps.sweep import Curve, SeenTrial, Sweep, SweepStatus, Trial
 
 
 @dataclass(frozen=True)
-class Start:
+class StartTrial:
     """Begin a trial with these values.
 
     settings: what its job has besides them. parent, inherited_steps: as in `Trial`.
@@ -28,28 +28,28 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Prune:
+class PruneTrial:
     """End the trial early and keep its work."""
 
     trial: Trial
 
 
 @dataclass(frozen=True)
-class Cancel:
+class CancelTrial:
     """Cancel the trial's job, because it is pruned or the sweep is cancelled; again, if that was done."""
 
     trial: Trial
 
 
 @dataclass(frozen=True)
-class End:
+class EndSweep:
     """The sweep is over."""
 
     status: SweepStatus
     message: str
 
 
-Decision = Start | Prune | Cancel | End
+Decision = StartTrial | PruneTrial | CancelTrial | EndSweep
 
 
 def advance(sweep: Sweep, seen: Sequence[SeenTrial], steps_of: Callable[[Values], int]) -> Sequence[Decision]:
@@ -59,17 +59,19 @@ def advance(sweep: Sweep, seen: Sequence[SeenTrial], steps_of: Callable[[Values]
     """
     going = [one.trial for one in seen if not one.is_over]
     if sweep.status == SweepStatus.CANCELLING:
-        return [*map(Cancel, going)] or [End(SweepStatus.CANCELLED, _summary("It was cancelled", seen))]
-    ending: list[Decision] = [Cancel(trial) for trial in going if trial.is_pruned]
-    ending += [Prune(trial) for trial in _worth_ending(sweep.spec, seen)]
+        return [*map(CancelTrial, going)] or [
+            EndSweep(SweepStatus.CANCELLED, _summary("It was cancelled", seen))
+        ]
+    ending: list[Decision] = [CancelTrial(trial) for trial in going if trial.is_pruned]
+    ending += [PruneTrial(trial) for trial in _worth_ending(sweep.spec, seen)]
     try:
         starts, why = _starts(sweep, seen, steps_of)
     except Misconfigured as error:
-        return ending if going else [End(SweepStatus.FAILED, error.detail)]
+        return ending if going else [EndSweep(SweepStatus.FAILED, error.detail)]
     except pbt.DiedOut as error:
-        return ending if going else [End(SweepStatus.FAILED, _summary(str(error), seen))]
+        return ending if going else [EndSweep(SweepStatus.FAILED, _summary(str(error), seen))]
     if why is not None and not going and not starts:
-        return [End(SweepStatus.SUCCEEDED, _summary(why, seen))]
+        return [EndSweep(SweepStatus.SUCCEEDED, _summary(why, seen))]
     return [*ending, *starts]
 
 
@@ -102,12 +104,12 @@ def num_trials(spec: SweepSpec, trials: Sequence[Trial]) -> int:
 
 def _starts(
     sweep: Sweep, seen: Sequence[SeenTrial], steps_of: Callable[[Values], int]
-) -> tuple[Sequence[Start], str | None]:
+) -> tuple[Sequence[StartTrial], str | None]:
     """As many as may run side by side, each drawn with those before it; and why no more may start, if so.
 
     Raises Misconfigured, pbt.DiedOut.
     """
-    spec, found, known = sweep.spec, list[Start](), list(seen)
+    spec, found, known = sweep.spec, list[StartTrial](), list(seen)
     while True:
         trials = [one.trial for one in known]
         if (why := why_no_more(spec, trials)) is not None:
@@ -131,15 +133,17 @@ def _starts(
         known.append(SeenTrial(trial))
 
 
-def _start(spec: SweepSpec, seen: Sequence[SeenTrial], steps_of: Callable[[Values], int]) -> Start:
+def _start(spec: SweepSpec, seen: Sequence[SeenTrial], steps_of: Callable[[Values], int]) -> StartTrial:
     """The start of the next trial. Raises pbt.DiedOut; Misconfigured where the method lacks a package."""
     number = len(seen)
     if spec.population is not None:
         begun = pbt.beginning(spec, spec.population, [one.trial for one in seen])
         steps = max(0, steps_of({**begun.parameters, **begun.settings}) - begun.inherited_steps)
-        return Start(number, begun.parameters, steps, begun.settings, begun.parent, begun.inherited_steps)
+        return StartTrial(
+            number, begun.parameters, steps, begun.settings, begun.parent, begun.inherited_steps
+        )
     values = _drawn(spec, number, seen)
-    return Start(number, values, steps_of(values))
+    return StartTrial(number, values, steps_of(values))
 
 
 def _drawn(spec: SweepSpec, number: int, seen: Sequence[SeenTrial]) -> Values:

@@ -29,10 +29,10 @@ from core.jobs.queue import JobQueue
 from core.jobs.spec import JobSpec, TrainSpec
 from core.jobs.store import Dispatch
 from core.storage.objects import ObjectStore
-from core.sweeps.advance import Cancel, Decision, End, Prune, Start, advance
+from core.sweeps.advance import CancelTrial, Decision, EndSweep, PruneTrial, StartTrial, advance
 from core.sweeps.axes import job_of
 from core.sweeps.checks import steps_of
-from core.sweeps.pruning import Curves
+from core.sweeps.pruning import ObjectiveCurves
 from core.sweeps.results import importance, judged
 from core.sweeps.sweep import SeenTrial, Sweep, SweepMark, SweepStore, Trial
 
@@ -64,7 +64,7 @@ class SweepController:
         self._queue = queue
         self._objects = objects
         # Both of active sweeps alone.
-        self._curves: dict[str, Curves] = {}
+        self._curves: dict[str, ObjectiveCurves] = {}
         self._settled: dict[str, _Settled] = {}
 
     def run_once(self) -> int:
@@ -124,7 +124,7 @@ class SweepController:
         if sweep.spec.pruning is None:
             return [SeenTrial(trial) for trial in trials]
         metric = sweep.spec.objectives[0].metric
-        curves = self._curves.setdefault(sweep.id, Curves(self._store, self._objects))
+        curves = self._curves.setdefault(sweep.id, ObjectiveCurves(self._store, self._objects))
         return [
             SeenTrial(trial, curves.read(trial.job, metric, has_ended=trial.outcome is not None))
             for trial in trials
@@ -143,21 +143,21 @@ class SweepController:
     def _carry_out(self, sweep: Sweep, decision: Decision) -> Job | None:
         """Returns the job of a trial that was started."""
         match decision:
-            case Start():
+            case StartTrial():
                 return self._start(sweep, decision)
-            case Prune(trial=trial):
+            case PruneTrial(trial=trial):
                 if self._store.save_trial(sweep.id, trial.model_copy(update={"is_pruned": True})):
                     log.info("trial_pruned", sweep=sweep.id, trial=trial.number)
                     self._cancel(trial)
-            case Cancel(trial=trial):
+            case CancelTrial(trial=trial):
                 self._cancel(trial)
-            case End(status=status, message=message):
+            case EndSweep(status=status, message=message):
                 ended = {"status": status, "message": message, "finished_at": self._store.now()}
                 self._store.save_sweep(sweep.next(**ended))
                 log.info("sweep_ended", sweep=sweep.id, status=status)
         return None
 
-    def _start(self, sweep: Sweep, start: Start) -> Job | None:
+    def _start(self, sweep: Sweep, start: StartTrial) -> Job | None:
         """Store the trial with its job, and return that; or, where its values do not fit, as refused."""
         trial = Trial(
             number=start.number,

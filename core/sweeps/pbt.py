@@ -35,7 +35,7 @@ _MAX_TRIED = 16
 
 
 @dataclass(frozen=True)
-class Beginning:
+class TrialBeginning:
     """A trial's starting point.
 
     settings: of its job, besides `parameters`. parent, inherited_steps: as in `Trial`.
@@ -51,7 +51,7 @@ class DiedOut(Exception):
     """No run of a generation can be continued: the beginning of a sentence."""
 
 
-def beginning(spec: SweepSpec, population: Population, trials: Sequence[Trial]) -> Beginning:
+def beginning(spec: SweepSpec, population: Population, trials: Sequence[Trial]) -> TrialBeginning:
     """The beginning of the next trial; trials of earlier generations have ended. Raises DiedOut.
 
     A member continues, unless it is among the worst or has no value: then it takes the checkpoint of one of
@@ -65,7 +65,7 @@ def beginning(spec: SweepSpec, population: Population, trials: Sequence[Trial]) 
     seed = (spec.job.seed + member) % (_LARGEST_SEED + 1)
     settings = Values({LENGTH: steps_until(spec, population, generation), "seed": seed})
     if generation == 0:
-        return Beginning(random_values(spec, number), settings)
+        return TrialBeginning(random_values(spec, number), settings)
     before = trained[-1]
     ranked = _ranked(before, spec.objectives[0].sign)
     if not ranked:
@@ -78,7 +78,7 @@ def beginning(spec: SweepSpec, population: Population, trials: Sequence[Trial]) 
         parent = generator.choice(ranked[: population.num_replaced])
         parameters = _explored(spec, population, number, parent.parameters)
     settings["resume_from"] = {"job": parent.job}
-    return Beginning(parameters, settings, parent.number, parent.inherited_steps + parent.steps)
+    return TrialBeginning(parameters, settings, parent.number, parent.inherited_steps + parent.steps)
 
 
 def is_to_wait(population: Population, trials: Sequence[Trial]) -> bool:

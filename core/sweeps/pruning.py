@@ -95,7 +95,7 @@ class _Known:
     values: dict[int, float] = field(default_factory=dict[int, float])
 
 
-class Curves:
+class ObjectiveCurves:
     """The objective's values of running trials, read from their events; only what came since is read again.
 
     A process without this cache reads the feeds from the beginning and finds the same.

@@ -112,7 +112,7 @@ def _beats(one: Sequence[float], other: Sequence[float]) -> bool:
 
 
 @dataclass(frozen=True)
-class Group:
+class TrialGroup:
     """The trials of one setting, which differ in their seeds alone.
 
     mean, spread: of each objective over the trials that succeeded; spread is their standard deviation, None
@@ -125,7 +125,7 @@ class Group:
     spread: list[float | None]
 
 
-def by_seed(trials: Sequence[Trial], num_objectives: int) -> list[Group]:
+def by_seed(trials: Sequence[Trial], num_objectives: int) -> list[TrialGroup]:
     """One group for each setting; empty where `seed` is no axis."""
     groups: dict[str, list[Trial]] = defaultdict(list)
     for trial in trials:
@@ -138,10 +138,10 @@ def _setting(trial: Trial) -> dict[str, JsonValue]:
     return {name: value for name, value in trial.parameters.items() if name != SEED}
 
 
-def _group(members: Sequence[Trial], num_objectives: int) -> Group:
+def _group(members: Sequence[Trial], num_objectives: int) -> TrialGroup:
     ended = [trial.values for trial in members if trial.outcome == "succeeded" and trial.has_values]
     columns = [[float(row[at] or 0.0) for row in ended] for at in range(num_objectives)]
-    return Group(
+    return TrialGroup(
         _setting(members[0]),
         [trial.number for trial in members],
         [fmean(column) if column else None for column in columns],

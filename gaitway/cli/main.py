@@ -16,10 +16,10 @@ from gaitway.cli import (
     sweeps,
     watch,
 )
-from gaitway.cli.common import Group
+from gaitway.cli.common import CommandGroup
 
 app = typer.Typer(
-    cls=Group,
+    cls=CommandGroup,
     help="Send training jobs to a Gaitway service, watch them, and fetch what they made.",
     no_args_is_help=True,
     add_completion=False,

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, Group, client_of, model_id, print_json
+from gaitway.cli.common import AsJson, CommandGroup, client_of, model_id, print_json
 from gaitway.cli.terminal import Console
 from gaitway.schema import ModelView, WorkerView
 
-models = typer.Typer(cls=Group, help="Bring models of your own, for jobs in the environment `mjcf`.")
+models = typer.Typer(cls=CommandGroup, help="Bring models of your own, for jobs in the environment `mjcf`.")
 ModelName = Annotated[
     str, typer.Argument(metavar="MODEL", help="Its name or its `sha256:…`, as `add` and `list` print them.")
 ]

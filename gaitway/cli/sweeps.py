@@ -12,14 +12,14 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, Group, Yes, client_of, confirm, full_id, print_json
+from gaitway.cli.common import AsJson, CommandGroup, Yes, client_of, confirm, full_id, print_json
 from gaitway.cli.progress import duration
 from gaitway.cli.submit import read
 from gaitway.cli.terminal import Console
 from gaitway.client import Client
 from gaitway.schema import SweepDetails, TrialView
 
-sweeps = typer.Typer(cls=Group, help="See sweeps and what came of them.", invoke_without_command=True)
+sweeps = typer.Typer(cls=CommandGroup, help="See sweeps and what came of them.", invoke_without_command=True)
 
 SweepName = Annotated[str, typer.Argument(metavar="SWEEP", help="A sweep's id, its end, or `last`.")]
 _STYLES = {"succeeded": "green", "failed": "red", "running": "cyan"}

@@ -11,7 +11,7 @@ from gaitway.concurrency import sleep
 from gaitway.errors import Unavailable, Unreachable
 from gaitway.retry import Retry
 from gaitway.schema import JobView
-from gaitway.views import Event, Lines, Stream, event_of
+from gaitway.views import Event, LineReader, Stream, event_of
 
 _SILENCE_S = 45.0  # the service sends at least a comment more often than this
 _LOG_SILENCE_S = 300.0  # a log has no comments
@@ -92,7 +92,7 @@ class Following(Connection):
             try:
                 with self._opened(path, params={"follow": "true"}, read_timeout_s=_LOG_SILENCE_S) as response:
                     # A log has no ids: after a broken connection it starts from its beginning again.
-                    lines, num_seen = Lines(), 0
+                    lines, num_seen = LineReader(), 0
                     for chunk in response.iter_bytes():
                         for line in lines.take(chunk):
                             num_seen += 1

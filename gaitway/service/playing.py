@@ -22,7 +22,7 @@ from core.errors import Rejected
 from core.jobs.spec import RolloutSpec
 from core.rendering.replay.poses import target_body
 from core.rendering.scene import following_view
-from core.rendering.timeline import Floats, Motion, shots
+from core.rendering.timeline import EpisodeMotion, Floats, shots
 from gaitway.service.foreground import Told, begin
 from worker.protocol import Task
 from worker.render.process import motion_of
@@ -142,7 +142,7 @@ class Player:
                 if self.keys.skips:
                     break
 
-    def _frames(self, motion: Motion) -> Iterator[bool]:
+    def _frames(self, motion: EpisodeMotion) -> Iterator[bool]:
         """Shows a frame, and yields whether the viewer is still open."""
         for shot in shots(self.model, [motion], fps=_FRAMES_PER_SECOND, seconds=max(motion.duration_s, 1e-9)):
             for name, values in shot.model.items():

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from core.algorithms.events import Event, Phase, Progress
+from core.algorithms.events import Event, Phase, TrainingProgress
 from core.errors import Rejected
 from core.jobs.spec import TrainSpec
 from gaitway.service.foreground import Told, begin, device_of, training
@@ -43,7 +43,7 @@ class Times:
                 self.first_update = seconds
             case Phase(name=name, seconds=seconds) if name in _COMPILE:
                 self.compile += seconds
-            case Progress(step=step, metrics=metrics):
+            case TrainingProgress(step=step, metrics=metrics):
                 walltime = metrics["training/walltime"]
                 if self._began_at is None:
                     self._began_at = walltime, step
@@ -89,7 +89,7 @@ def _profile(task: Task, spec: TrainSpec, epochs: int, trace: Path | None, began
         for event in told:
             report.publish(event)
             times.see(event, steps_per_update)
-            seen += isinstance(event, Progress)
+            seen += isinstance(event, TrainingProgress)
             if seen > epochs:  # The first has the first update alone.
                 break
         if not times.updates:
@@ -99,7 +99,7 @@ def _profile(task: Task, spec: TrainSpec, epochs: int, trace: Path | None, began
         times.evaluation, times.total = time.perf_counter() - started, time.perf_counter() - began
         if trace is not None:
             with cast("Any", jax.profiler).trace(trace, create_perfetto_trace=True):
-                next((event for event in told if isinstance(event, Progress)), None)
+                next((event for event in told if isinstance(event, TrainingProgress)), None)
     yield from table(times, run.update_times(built.environment))
     if trace is not None:
         yield f"The trace of one more epoch is in {trace}: `tensorboard --logdir`, or ui.perfetto.dev."

@@ -37,7 +37,7 @@ class VendoredFile(BaseModel):
     sha512: str = ""
 
 
-class Package(BaseModel):
+class NpmPackage(BaseModel):
     """A package of the registry. integrity: of its archive, as npm's own lock files have it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -54,7 +54,7 @@ class Lock(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    packages: list[Package]
+    packages: list[NpmPackage]
 
 
 class NotAsLocked(Exception):
@@ -70,7 +70,7 @@ def sha512(content: bytes) -> str:
     return "sha512-" + base64.b64encode(hashlib.sha512(content).digest()).decode()
 
 
-def bring(package: Package) -> Package:
+def bring(package: NpmPackage) -> NpmPackage:
     """Write the package's files; returns it with the digests that the lock lacks. Raises NotAsLocked."""
     with tempfile.TemporaryDirectory() as folder:
         archive = _fetch(package, Path(folder))
@@ -80,7 +80,7 @@ def bring(package: Package) -> Package:
     return package.model_copy(update={"integrity": integrity, "files": files})
 
 
-def _fetch(package: Package, folder: Path) -> Path:
+def _fetch(package: NpmPackage, folder: Path) -> Path:
     command = [
         "npm",
         "pack",

@@ -17,7 +17,7 @@ from fastapi import FastAPI
 
 from api.app import create_app
 from api.dependencies import Service
-from api.main import Server, listen
+from api.main import ApiServer, listen
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobFinished, RecordsUnavailable, StorageUnavailable, Unavailable
@@ -114,7 +114,7 @@ def server() -> Iterator[tuple[FastAPI, int]]:
 @contextmanager
 def serving(app: FastAPI, port: int = 0) -> Iterator[int]:
     """The app under uvicorn in a thread; its port, by default a free one."""
-    app.state.server = server = Server(app)
+    app.state.server = server = ApiServer(app)
     with listen("127.0.0.1", port) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()

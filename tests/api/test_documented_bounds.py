@@ -116,7 +116,7 @@ def test_every_option_of_every_environment_has_a_bound() -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", [archive.Contents, archive.Format, archive.Record, archive.Row, archive.Versions]
+    "kind", [archive.Contents, archive.ArchiveFormat, archive.Record, archive.ArchiveRow, archive.Versions]
 )
 def test_every_field_of_the_documents_of_an_import_has_a_bound(kind: type[BaseModel]) -> None:
     """H2, H3: those of the record and of the metrics had none."""

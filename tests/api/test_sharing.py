@@ -16,7 +16,7 @@ from zipfile import ZipFile
 import httpx
 import pytest
 
-from api.sharing.export import Member, zip_stream
+from api.sharing.export import ZipMember, zip_stream
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.storage import keys
@@ -132,7 +132,7 @@ def test_a_zip_is_sent_as_it_is_made() -> None:
             yield bytes(range(256)) * 4096
 
     sent = bytearray()
-    for part in zip_stream([Member("big", pieces(), compress=False), Member("small", [b"x"])]):
+    for part in zip_stream([ZipMember("big", pieces(), compress=False), ZipMember("small", [b"x"])]):
         sent += part
         assert read - len(sent) <= 2**20
     archive = ZipFile(io.BytesIO(sent))
@@ -146,7 +146,7 @@ def test_a_zip_of_a_member_that_breaks_off_has_no_end() -> None:
 
     sent = bytearray()
     with pytest.raises(OSError, match="gone"):
-        sent.extend(chain.from_iterable(zip_stream([Member("half", broken())])))
+        sent.extend(chain.from_iterable(zip_stream([ZipMember("half", broken())])))
     with pytest.raises(zipfile.BadZipFile):
         ZipFile(io.BytesIO(sent))
 

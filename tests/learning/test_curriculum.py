@@ -12,7 +12,7 @@ import pytest
 from core.algorithms.catalog import resolve
 from core.algorithms.checkpoint import kind_of
 from core.algorithms.dqn.spec import DQNSpec
-from core.algorithms.events import Progress
+from core.algorithms.events import TrainingProgress
 from core.algorithms.ppo.learner import FORMAT as PPO_FORMAT
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.spec import ActionList
@@ -64,7 +64,7 @@ def straight(request: pytest.FixtureRequest) -> Straight:
     seen, kept = list[tuple[float, set[float]]](), list[bytes]()
     with compilations_heard() as compiled:
         for event in run.events():
-            if isinstance(event, Progress):
+            if isinstance(event, TrainingProgress):
                 kept.append(run.checkpoint())
                 seen.append((event.metrics["training/curriculum"], begun_at(kept[-1])))
             if len(seen) == 1:

@@ -11,7 +11,7 @@ import pytest
 
 from core.algorithms.dqn.network import QNetwork
 from core.algorithms.dqn.policy import FORMAT
-from core.algorithms.events import Progress
+from core.algorithms.events import TrainingProgress
 from core.algorithms.q_learning.discrete_env import make_action_set
 from core.algorithms.run import Run
 from core.algorithms.trained_policy import load_policy
@@ -75,7 +75,9 @@ def test_epsilon_falls_over_its_decisions_and_then_stays() -> None:
     run = dqn_run(
         probes.endless(), epsilon=epsilon, num_timesteps=4 * STEPS_PER_UPDATE, num_evals=0, epoch_s=0.0
     )
-    told = [event.metrics["training/epsilon"] for event in run.events() if isinstance(event, Progress)]
+    told = [
+        event.metrics["training/epsilon"] for event in run.events() if isinstance(event, TrainingProgress)
+    ]
     assert told == [1.0, 0.75, 0.5, 0.5]
 
 

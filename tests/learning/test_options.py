@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.events import Progress
+from core.algorithms.events import TrainingProgress
 from core.algorithms.ppo.learner import FORMAT
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.policy import policy_from_checkpoint
@@ -47,7 +47,7 @@ def test_begun_episodes_are_bootstrapped_like_others_and_change_nothing_that_is_
     assert value(run, jnp.zeros(1)) == pytest.approx(2.0, abs=0.05)
     assert len(np.unique(FORMAT.read(run.checkpoint())[1]["episodes"]["length"])) == 4
     # Ends of episodes that had begun before the run are not told; all others have four rewards of 1.
-    told = [event.metrics for event in events if isinstance(event, Progress)]
+    told = [event.metrics for event in events if isinstance(event, TrainingProgress)]
     for name in ("training/episode_reward", "training/episode_length"):
         assert {metrics[name] for metrics in told} == {4.0}
     evaluation = last_evaluation(iter(events))
@@ -69,7 +69,7 @@ def learning_rates(**changes: object) -> list[float]:
         num_evals=0,
         **{"learning_rate": 1e-3, "learning_rate_schedule": "ADAPTIVE_KL", **changes},
     )
-    events = [event for event in run.events() if isinstance(event, Progress)]
+    events = [event for event in run.events() if isinstance(event, TrainingProgress)]
     assert float(FORMAT.read(run.checkpoint())[1]["learning_rate"]) > 0
     return [event.metrics["training/learning_rate"] for event in events]
 
@@ -109,7 +109,7 @@ def test_a_run_with_every_option_resumes_as_if_it_had_not_stopped(schedule: str)
     env = probes.observed_action_reward()
     straight = checkpoints(small_run(env, epoch_s=1000.0, **options))
     stopped = small_run(env, epoch_s=0.0, **options)
-    next(event for event in stopped.events() if isinstance(event, Progress))
+    next(event for event in stopped.events() if isinstance(event, TrainingProgress))
     assert stopped.step == 2 * STEPS_PER_UPDATE
     assert checkpoints(small_run(env, resume=stopped.checkpoint(), **options)) == straight
 
@@ -120,7 +120,7 @@ def test_lengths_and_budgets_count_steps_of_the_world_however_long_an_action_is_
         probes.unending_reward(), num_timesteps=4 * STEPS_PER_UPDATE, action_repeat=2, episode_length=7
     )
     events = list(run.events())
-    progress = [event for event in events if isinstance(event, Progress)][-1]
+    progress = [event for event in events if isinstance(event, TrainingProgress)][-1]
     assert (progress.step, run.step) == (4 * STEPS_PER_UPDATE, 4 * STEPS_PER_UPDATE)
     assert int(FORMAT.read(run.checkpoint())[1]["num_updates"]) == 2
     assert progress.metrics["training/episode_length"] == 8.0

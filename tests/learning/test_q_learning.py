@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, TrainingProgress
 from core.algorithms.q_learning.learner import Learner
 from core.algorithms.q_learning.table import FORMAT, LearntTable, read_policy, table_from_checkpoint
 from core.algorithms.trained_policy import policy_from_checkpoint
@@ -66,7 +66,7 @@ def test_agents_side_by_side_learn_what_each_learns_alone_and_the_best_is_the_po
     assert evaluated["eval/agent_0/episode_reward"] == pytest.approx(2.0)
     assert evaluated["eval/agent_1/episode_reward"] == pytest.approx(2.4)
     assert evaluated["eval/episode_reward"] == pytest.approx(2.4)
-    progress = [event.metrics for event in events if isinstance(event, Progress)][-1]
+    progress = [event.metrics for event in events if isinstance(event, TrainingProgress)][-1]
     assert progress["training/agent_0/q_max"] == pytest.approx(2.0, abs=0.01)
     assert progress["training/agent_1/q_max"] == 0.0
     tables = FORMAT.read(run.checkpoint())[1]["table"]
@@ -179,11 +179,11 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
     assert len(compilations) == compiled
     told = [(type(event).__name__, event.step) for event in events if not isinstance(event, Phase)]
     assert told == [
-        ("Progress", 48),
-        ("Progress", 144), ("Evaluating", 144), ("Evaluated", 144), ("CheckpointReady", 144),
-        ("Progress", 240), ("Evaluating", 240), ("Evaluated", 240), ("CheckpointReady", 240),
+        ("TrainingProgress", 48),
+        ("TrainingProgress", 144), ("Evaluating", 144), ("Evaluated", 144), ("CheckpointReady", 144),
+        ("TrainingProgress", 240), ("Evaluating", 240), ("Evaluated", 240), ("CheckpointReady", 240),
     ]  # fmt: skip
-    last = [event for event in events if isinstance(event, Progress)][-1]
+    last = [event for event in events if isinstance(event, TrainingProgress)][-1]
     assert (last.total, run.total) == (240, 240)
     assert last.metrics["training/episodes"] == last.metrics["training/num_episodes"] == 40
     names = (
@@ -213,7 +213,9 @@ def test_contacts_that_the_engine_lost_are_told_as_the_share_of_decisions_that_l
         epsilon={"start": 0.0, "end": 0.0},
     )
     events = q_run(Overflowing(two_rooms()), settings).events()
-    told = [event.metrics["training/physics_overflow"] for event in events if isinstance(event, Progress)]
+    told = [
+        event.metrics["training/physics_overflow"] for event in events if isinstance(event, TrainingProgress)
+    ]
     assert told == [0.25]
 
 
@@ -230,7 +232,7 @@ def test_a_reward_that_is_no_number_ends_the_run_with_the_last_good_table() -> N
 
 def test_a_checkpoint_of_another_table_is_refused_with_both_shapes() -> None:
     run = q_run(two_rooms(), q_settings())
-    next(event for event in run.events() if isinstance(event, Progress))
+    next(event for event in run.events() if isinstance(event, TrainingProgress))
     finer = {"kind": "observation_grid", "components": [{"index": 0, "range": [-0.5, 1.5], "cells": 4}]}
     with pytest.raises(JobFailed, match=r"state_discretizer is .*'cells': 2.* and .*'cells': 4") as failure:
         q_run(two_rooms(), q_settings(state_discretizer=finer), resume=run.checkpoint())

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from core.algorithms.events import Progress
+from core.algorithms.events import TrainingProgress
 from core.algorithms.ppo.learner import FORMAT
 from core.algorithms.run import Run
 from core.environments import catalog
@@ -50,7 +50,7 @@ def gravities(checkpoint: bytes) -> Any:
 
 def gravities_after_each_update(**changes: Any) -> list[Any]:
     run = small_run(probe(), epoch_s=0.0, **BUDGET, **changes)
-    return [gravities(run.checkpoint()) for event in run.events() if isinstance(event, Progress)]
+    return [gravities(run.checkpoint()) for event in run.events() if isinstance(event, TrainingProgress)]
 
 
 def drawn_with(seed: int) -> Any:
@@ -103,7 +103,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(begin: Callable[..., Run[Any]
 
 def test_environments_that_do_not_differ_leave_nothing_in_a_checkpoint() -> None:
     run = small_run(probes.endless(), **BUDGET)
-    next(event for event in run.events() if isinstance(event, Progress))
+    next(event for event in run.events() if isinstance(event, TrainingProgress))
     plain = run.checkpoint()
     assert "model" not in FORMAT.read(plain)[1]["episodes"]["state"]["physics"]
     with pytest.raises(JobFailed, match=r"model\.opt\.gravity is missing in the checkpoint"):

@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import pytest
 
-from core.algorithms.events import Progress
+from core.algorithms.events import TrainingProgress
 from core.algorithms.ppo.learner import FORMAT
 from core.algorithms.run import Run
 from core.environments import catalog
@@ -108,7 +108,7 @@ def test_fresh_starts_are_the_same_ones_however_a_run_is_cut(reset_pool_size: in
     env = probes.Probe(lambda obs, time, action: (action * obs, jnp.zeros(())), random_sign=True)
     straight = checkpoints(small_run(env, epoch_s=1000.0, **budget))
     stopped = small_run(env, epoch_s=0.0, **budget)
-    next(event for event in stopped.events() if isinstance(event, Progress))
+    next(event for event in stopped.events() if isinstance(event, TrainingProgress))
     resumed = small_run(env, resume=stopped.checkpoint(), **budget)
     assert checkpoints(resumed) == straight
 
@@ -133,7 +133,7 @@ def test_a_checkpoint_holds_first_states_only_where_a_run_goes_back_to_them() ->
 def test_a_run_that_was_stopped_anywhere_goes_on_as_if_it_had_not(begin: Begin, update: int) -> None:
     straight = checkpoints(begin())
     stopped = begin()
-    next(event for event in stopped.events() if isinstance(event, Progress))
+    next(event for event in stopped.events() if isinstance(event, TrainingProgress))
     assert stopped.step == update
     assert checkpoints(begin(resume=stopped.checkpoint())) == straight
     assert checkpoints(begin(seed=1)) != straight

@@ -10,7 +10,7 @@ import pytest
 
 from core.algorithms.checkpoint import Format
 from core.algorithms.dqn.policy import FORMAT as DQN_FORMAT
-from core.algorithms.events import BodyLost, CheckpointReady, Evaluated, Event, Phase, Progress
+from core.algorithms.events import BodyLost, CheckpointReady, Evaluated, Event, Phase, TrainingProgress
 from core.algorithms.ppo.learner import FORMAT as PPO_FORMAT
 from core.algorithms.run import Run
 from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
@@ -102,7 +102,7 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start(case: C
     assert compiled_at_start > 0
     assert len(compilations) == compiled_at_start
 
-    progress = [event for event in events if isinstance(event, Progress)][-1]
+    progress = [event for event in events if isinstance(event, TrainingProgress)][-1]
     assert progress.total == 6 * case.update
     # The action is both the reward and the speed of this probe, and an episode has 8 steps.
     assert progress.metrics["training/episode_length"] == 8.0
@@ -140,11 +140,11 @@ def test_a_body_that_is_lost_ends_its_episode_and_not_the_run() -> None:
     # Two of the first 32 bodies have a number below 0.04, and are lost in the second update.
     run = small_run(probes.losing(share=0.04, after=20), episode_length=1000, epoch_s=0.0)
     events = list(run.events())
-    told = [event.metrics for event in events if isinstance(event, Progress)]
+    told = [event.metrics for event in events if isinstance(event, TrainingProgress)]
     assert [metrics["training/lost_bodies"] for metrics in told[:3]] == [0.0, 2 / STEPS_PER_UPDATE, 0.0]
     # One of them is told of, before the update's metrics: its 21st action is the update's 5th.
     [lost] = [event for event in events if isinstance(event, BodyLost)]
-    assert isinstance(before := events[events.index(lost) + 1], Progress)
+    assert isinstance(before := events[events.index(lost) + 1], TrainingProgress)
     assert before.step == 2 * STEPS_PER_UPDATE
     assert lost.step == STEPS_PER_UPDATE + 4 * 32
     assert lost.steps.reward.tolist() == [1.0, 1.0, 1.0, 1.0, 0.0]

@@ -15,8 +15,8 @@ from core.algorithms.events import (
     CheckpointReady,
     Evaluated,
     Event,
-    Progress,
     SeedDiverged,
+    TrainingProgress,
     is_of_a_seed,
     metric_of_seed,
 )
@@ -120,7 +120,7 @@ def test_each_seed_is_trained_as_it_would_be_alone(
 
 def is_due(one: Event) -> bool:
     """Whether it comes at a step that the settings alone decide."""
-    return not isinstance(one, Progress)
+    return not isinstance(one, TrainingProgress)
 
 
 def evaluations(events: Sequence[Event]) -> list[Evaluated]:
@@ -176,7 +176,7 @@ def test_a_seeds_policy_is_the_one_in_its_part_of_the_checkpoint() -> None:
 def test_a_checkpoint_is_for_the_same_seeds_alone() -> None:
     run, alone = seeds_run(PPO, probes.endless()), small_run(probes.endless(), **PPO.budget)
     for one in (run, alone):
-        next(event for event in one.events() if isinstance(event, Progress))
+        next(event for event in one.events() if isinstance(event, TrainingProgress))
     with pytest.raises(JobFailed, match=r"seeds is \[0, 3, 1\] in the checkpoint and \[0, 1\] in this job"):
         seeds_run(PPO, probes.endless(), seeds=[0, 1], resume=run.checkpoint())
     with pytest.raises(JobFailed, match=r"seeds is \[0, 3, 1\] in the checkpoint and None in this job"):
@@ -257,7 +257,7 @@ def test_the_metrics_of_a_seed_that_has_diverged_end(ended: Ended) -> None:
     assert [event.seed for event in ended.events if isinstance(event, SeedDiverged)] == [7, 4]
     assert ended.events[-1] == CheckpointReady(ended.run.total)
     for event in ended.events:
-        if isinstance(event, Progress):
+        if isinstance(event, TrainingProgress):
             own = {
                 int(name.split("/")[0].removeprefix("seed_")) for name in event.metrics if is_of_a_seed(name)
             }

@@ -18,7 +18,7 @@ from worker.host.processes import die_with_parent
 
 if TYPE_CHECKING:
     from core.environments.trajectory import Episode
-    from core.rendering.timeline import Motion
+    from core.rendering.timeline import EpisodeMotion
 
 NO_GL, BAD_REQUEST = 3, 4
 
@@ -55,11 +55,11 @@ def _answer(answer: RenderResult | RenderFailure, status: int) -> int:
     return status
 
 
-def motion_of(episode: "Episode") -> "Motion":
+def motion_of(episode: "Episode") -> "EpisodeMotion":
     """The part of an episode that is drawn."""
-    from core.rendering.timeline import Motion
+    from core.rendering.timeline import EpisodeMotion
 
-    return Motion(
+    return EpisodeMotion(
         episode.time,
         episode.qpos.astype("float64"),
         None if episode.target is None else episode.target.astype("float64"),

@@ -23,7 +23,7 @@ from worker.supervision.outbox import Outbox
 from worker.supervision.spool import private
 from worker.tracking.child import end, start
 from worker.tracking.config import about_run, as_resolved
-from worker.tracking.items import About, PolicyFile, VideoFile, WriteUp
+from worker.tracking.items import About, PolicyItem, VideoItem, WriteUp
 from worker.tracking.live import Live
 
 log = structlog.get_logger()
@@ -144,8 +144,8 @@ class Tracking:
             update={
                 "about": about.model_copy(update={"config": config}),
                 "archive": about.folder / ARCHIVE,
-                "films": [VideoFile(**self._fetch(it, kept)) for it in videos],
-                "policies": [PolicyFile(**self._fetch(it, kept)) for it in policies],
+                "films": [VideoItem(**self._fetch(it, kept)) for it in videos],
+                "policies": [PolicyItem(**self._fetch(it, kept)) for it in policies],
                 "exit_code": exit_code,
             }
         )

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from worker.host.processes import die_with_parent
-from worker.tracking.items import ITEM, About, End, Row, WriteUp
+from worker.tracking.items import ITEM, About, EndItem, MetricsItem, WriteUp
 from worker.tracking.lines import lines_by_step
 
 
@@ -43,7 +43,7 @@ def live(items: IO[bytes], words: IO[str]) -> int:
         for line in items:
             item = ITEM.validate_json(line)
             log_item(run, item)
-            if isinstance(item, End):
+            if isinstance(item, EndItem):
                 return 0
     except Exception as error:  # Whatever it is, the job continues.
         say(words, note=f"Weights & Biases accepted no more of this run: {reason(error)}")
@@ -95,12 +95,12 @@ def write_archive(task: WriteUp, about: About, path: Path) -> None:
 
     run = open_run(about, "offline")
     for line in lines_by_step(task.measurements):
-        log_item(run, Row.model_validate_json(line))
+        log_item(run, MetricsItem.model_validate_json(line))
     for film in task.films:
         log_item(run, film)
     for policy in task.policies:
         log_archived_policy(run, policy)
-    log_item(run, End(exit_code=task.exit_code))
+    log_item(run, EndItem(exit_code=task.exit_code))
     archive(about.folder, path)
 
 

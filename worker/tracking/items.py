@@ -30,7 +30,7 @@ class Configured(Stored):
     values: dict[str, Any]
 
 
-class Row(Stored):
+class MetricsItem(Stored):
     """Metrics of a step."""
 
     kind: Literal["metrics"] = "metrics"
@@ -38,7 +38,7 @@ class Row(Stored):
     values: dict[str, float]
 
 
-class VideoFile(Stored):
+class VideoItem(Stored):
     """A video of a step; the file may be consumed. seed: whose it is, in a job of several."""
 
     kind: Literal["video"] = "video"
@@ -47,7 +47,7 @@ class VideoFile(Stored):
     seed: int | None = None
 
 
-class PolicyFile(Stored):
+class PolicyItem(Stored):
     """The policy of a step; the file stays as it is until the run has ended. seed: as of a video."""
 
     kind: Literal["policy"] = "policy"
@@ -56,14 +56,14 @@ class PolicyFile(Stored):
     seed: int | None = None
 
 
-class End(Stored):
+class EndItem(Stored):
     """Nothing more will come. exit_code: 0 if the job has done all that was asked."""
 
     kind: Literal["end"] = "end"
     exit_code: int
 
 
-Item = Configured | Row | VideoFile | PolicyFile | End
+Item = Configured | MetricsItem | VideoItem | PolicyItem | EndItem
 ITEM: TypeAdapter[Item] = TypeAdapter(Annotated[Item, Field(discriminator="kind")])
 
 
@@ -82,6 +82,6 @@ class WriteUp(Stored):
     curve: Path
     about: About | None = None
     archive: Path | None = None
-    films: list[VideoFile] = []
-    policies: list[PolicyFile] = []
+    films: list[VideoItem] = []
+    policies: list[PolicyItem] = []
     exit_code: int = 0

@@ -15,7 +15,7 @@ from worker.host.disk import NotPlain, open_plain
 from worker.protocol import FileReady, Measured, Message, Started
 from worker.tracking.child import end, start
 from worker.tracking.config import as_resolved
-from worker.tracking.items import About, Configured, End, Item, PolicyFile, Row, VideoFile
+from worker.tracking.items import About, Configured, EndItem, Item, MetricsItem, PolicyItem, VideoItem
 
 # How many items may wait for a slow process.
 _MAX_WAITING = 10_000
@@ -48,14 +48,14 @@ class Live:
             case Started(device=device, engine=engine, details=details):
                 self._put(Configured(values=as_resolved(device, engine, details)))
             case Measured(step=step, finite=values):
-                self._put(Row(step=step, values=values))
+                self._put(MetricsItem(step=step, values=values))
             case FileReady(role="video" | "policy" as role, path=path, step=step, metadata=facts):
-                kept = VideoFile if role == "video" else PolicyFile
+                kept = VideoItem if role == "video" else PolicyItem
                 self._link(path, kept, step or 0, facts.get("seed"))
             case _:
                 pass
 
-    def _link(self, name: str, kept: type[VideoFile | PolicyFile], step: int, seed: int | None) -> None:
+    def _link(self, name: str, kept: type[VideoItem | PolicyItem], step: int, seed: int | None) -> None:
         """Have a file, if it is one: the outbox removes the spool's own as soon as it is stored."""
         own = self._folder / name
         with suppress(OSError):
@@ -72,7 +72,7 @@ class Live:
 
     def finish(self, exit_code: int) -> bool:
         """Send the rest, within a time limit, and end the process; returns whether the server has it all."""
-        self._put(End(exit_code=exit_code))
+        self._put(EndItem(exit_code=exit_code))
         try:
             status = self._child.wait(_FINISH_S if self._opened.is_set() else _OPEN_S)
         except subprocess.TimeoutExpired:

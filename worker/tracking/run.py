@@ -9,7 +9,7 @@ from typing import Any, Literal
 import wandb
 
 from core.algorithms.events import metric_of_seed
-from worker.tracking.items import NAMES, About, Configured, End, Item, PolicyFile, Row, VideoFile
+from worker.tracking.items import NAMES, About, Configured, EndItem, Item, MetricsItem, PolicyItem, VideoItem
 
 # How long the server may take to accept a run.
 _OPEN_S = 30.0
@@ -59,19 +59,19 @@ def log_item(run: Any, item: Item) -> None:
     match item:
         case Configured(values=values):
             run.config.update(values, allow_val_change=True)
-        case Row(step=step, values=values):
+        case MetricsItem(step=step, values=values):
             run.log({_STEP: step, **values})
-        case VideoFile(step=step, path=path, seed=seed):
+        case VideoItem(step=step, path=path, seed=seed):
             name = path.stem.partition("-")[0]
             name = name if seed is None else metric_of_seed(seed, name)
             run.log({_STEP: step, name: wandb.Video(str(path), format="mp4")})
-        case PolicyFile():
+        case PolicyItem():
             log_policy(run, item, item.path)
-        case End(exit_code=exit_code):
+        case EndItem(exit_code=exit_code):
             run.finish(exit_code=exit_code)
 
 
-def log_policy(run: Any, policy: PolicyFile, path: Path) -> None:
+def log_policy(run: Any, policy: PolicyItem, path: Path) -> None:
     """Log the file as the run's model, or that of one of its seeds; returns when the server has it.
 
     The path is recorded relative to the working directory, in which `wandb sync` later looks for it.
@@ -86,7 +86,7 @@ def log_policy(run: Any, policy: PolicyFile, path: Path) -> None:
         logged.wait()
 
 
-def log_archived_policy(run: Any, policy: PolicyFile) -> None:
+def log_archived_policy(run: Any, policy: PolicyItem) -> None:
     """Log the policy of an offline run, and move it into the run's folder.
 
     Its path is recorded from the folder's parent, which is where users will unpack the archive.

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from core.algorithms.catalog import ALGORITHMS
-from core.algorithms.export.contract import Origin, contract
-from core.algorithms.export.network import Network, NotExportable, network_of
+from core.algorithms.export.contract import PolicyOrigin, contract
+from core.algorithms.export.network import NotExportable, PolicyNetwork, network_of
 from core.algorithms.export.numpy_file import numpy_file
 from core.environments.environment import Environment, Wrapped
 from core.environments.mujoco_env import MujocoEnv
@@ -24,7 +24,7 @@ from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 
 SIMULATION = "simulation.json"
-_Writer = Callable[[Network, Mapping[str, Any]], bytes]
+_Writer = Callable[[PolicyNetwork, Mapping[str, Any]], bytes]
 _NUMPY, _NUMPY_TYPE = "policy.npz", "application/x-npz"
 _LAST, _BEST = "policy", "policy-best"
 
@@ -153,7 +153,7 @@ class ExportWriter:
     def _written(self, policy: bytes, step: int, write: _Writer) -> bytes:
         """policy: the algorithm's own file. Raises NotExportable."""
         network, info = network_of(policy), self.built.info
-        origin = Origin(
+        origin = PolicyOrigin(
             algorithm=self.algorithm,
             environment=info.id,
             options=info.option_values.model_dump(mode="json"),

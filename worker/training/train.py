@@ -18,10 +18,10 @@ from core.algorithms.events import (
     Evaluating,
     Event,
     Phase,
-    Progress,
     SeedDiverged,
+    TrainingProgress,
 )
-from core.algorithms.memory import Memory
+from core.algorithms.memory import MemoryNeed
 from core.algorithms.run import make_run
 from core.algorithms.seeds import make_seeds_run
 from core.algorithms.spec import BaseSpec
@@ -105,7 +105,7 @@ def _follow(  # the run, and its receivers
     try:
         with closing(run.events()) as told:
             for event in told:
-                if isinstance(event, Progress):
+                if isinstance(event, TrainingProgress):
                     stopping.keep_before_leaving()
                 report.publish(event)
                 if isinstance(event, Evaluated):
@@ -113,7 +113,7 @@ def _follow(  # the run, and its receivers
                 if stopping.asked:
                     break
                 is_kept = isinstance(event, CheckpointReady)
-                if isinstance(event, Progress):
+                if isinstance(event, TrainingProgress):
                     is_kept = report.keep_checkpoint_if_due()
                 if is_kept and run.step < run.total:
                     with stopping.nothing_to_keep():
@@ -206,7 +206,7 @@ class Report:
                 self.events.send(PhaseEnded(name=name, seconds=seconds))
                 if name == "compile":
                     self.enter("training")
-            case Progress(step=step, total=total, metrics=metrics):
+            case TrainingProgress(step=step, total=total, metrics=metrics):
                 self._warn(step, metrics)
                 self._rate = metrics.get("training/sps", self._rate)
                 self._measured(step, metrics, total)
@@ -261,7 +261,7 @@ class Report:
         self.events.send(Advanced(step=step, total=total, steps_per_second=rate, eta_s=eta_s))
 
 
-def check_memory(least: Memory, device: Device) -> None:
+def check_memory(least: MemoryNeed, device: Device) -> None:
     """Raises JobFailed if the device, or for a CPU its machine, has less memory than the run needs."""
     limit = allowed_bytes(None) if device == "cpu" else _device_bytes()
     if limit is not None and least.bytes > limit:

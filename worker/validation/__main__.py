@@ -37,21 +37,21 @@ def _say_plainly(folder: Path, refusal: str) -> None:
 def _look(folder: Path, layers: tuple[Layer, ...]) -> None:
     # Imported only now, so that all they load is confined.
     from core.errors import GaitwayError
-    from worker.validation.answer import Answer
+    from worker.validation.answer import ModelAnswer
     from worker.validation.findings import findings
 
-    def say(answer: Answer) -> None:
+    def say(answer: ModelAnswer) -> None:
         part = folder / "answer.part"
         part.write_text(answer.model_copy(update={"layers": layers}).model_dump_json())
         os.replace(part, folder / "answer.json")
 
     try:
         for description in findings(folder / "model"):
-            say(Answer(description=description))
+            say(ModelAnswer(description=description))
     except GaitwayError as error:
-        say(Answer(refusal=error.detail))
+        say(ModelAnswer(refusal=error.detail))
     except MemoryError:
-        say(Answer(refusal="The model takes more memory than a model may."))
+        say(ModelAnswer(refusal="The model takes more memory than a model may."))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from worker.host.disk import read_plain
 _MAX_BYTES = 16 * 2**20
 
 
-class Answer(Stored):
+class ModelAnswer(Stored):
     """Either what was found, or why the model cannot be used. layers: those of the confinement that held."""
 
     description: Description | None = None
@@ -19,9 +19,9 @@ class Answer(Stored):
     layers: tuple[str, ...] = ()
 
 
-def read_answer(path: Path) -> Answer:
+def read_answer(path: Path) -> ModelAnswer:
     """The answer in the file; an empty one if it holds none."""
     try:
-        return Answer.model_validate_json(read_plain(path, _MAX_BYTES))
+        return ModelAnswer.model_validate_json(read_plain(path, _MAX_BYTES))
     except (OSError, ValidationError):
-        return Answer()
+        return ModelAnswer()

@@ -20,7 +20,7 @@ from core.user_models import library
 from core.user_models.record import ModelStore
 from worker.confinement.confinement import Limits
 from worker.host.child import environment, kill, launch, tail
-from worker.validation.answer import Answer, read_answer
+from worker.validation.answer import ModelAnswer, read_answer
 
 ANSWER = "answer.json"
 _PASSED_VARIABLES = (
@@ -65,9 +65,9 @@ def validate(  # noqa: PLR0913 # Which model, and the places that are needed.
     try:
         body = library.source(model_id, objects)
     except ObjectDamaged as error:
-        answers = iter([Answer(refusal=f"The stored model is damaged: {error.why}. Send it again.")])
+        answers = iter([ModelAnswer(refusal=f"The stored model is damaged: {error.why}. Send it again.")])
     except ObjectNotFound:  # It was interrupted before its last step, or somebody is deleting the model.
-        answers = iter([Answer(refusal=_INTERRUPTED)])
+        answers = iter([ModelAnswer(refusal=_INTERRUPTED)])
     else:
         answers = look(body, folder, data_dir, Limits(), strictly=strictly, is_wanted=is_wanted)
     # Jobs can use it once it is described; loading all the engines takes longer than everything before.
@@ -97,7 +97,7 @@ def look(
     *,
     strictly: bool = True,
     is_wanted: Callable[[], bool] = lambda: False,
-) -> Iterator[Answer]:
+) -> Iterator[ModelAnswer]:
     """The first and the last answer of a confined process about the file; the reason if it gives none."""
     (folder / "model").write_bytes(body)
     said = folder / ANSWER
@@ -152,7 +152,7 @@ def _ended(child: "subprocess.Popen[bytes]") -> int | None:
         return None
 
 
-def _answer(folder: Path, status: int | None, limits: Limits, text: IO[bytes], why: str) -> Answer:
+def _answer(folder: Path, status: int | None, limits: Limits, text: IO[bytes], why: str) -> ModelAnswer:
     """why: engines were not tried, if it had to be stopped."""
     answer = read_answer(folder / ANSWER)
     if answer.refusal is not None or (answer.description is not None and status == 0):
@@ -163,7 +163,7 @@ def _answer(folder: Path, status: int | None, limits: Limits, text: IO[bytes], w
         described = said.model_copy(update={"trials": trials, "complete": True})
         return answer.model_copy(update={"description": described})
     log.warning("model_not_understood", status=status, text=tail(text, 1000))
-    return Answer(refusal=_why(status, limits))
+    return ModelAnswer(refusal=_why(status, limits))
 
 
 def _why(status: int | None, limits: Limits) -> str:

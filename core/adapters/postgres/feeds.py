@@ -143,7 +143,7 @@ _BATCH = 1000
 _BATCH_BYTES = 2**20
 
 
-class _Batch:
+class _EntryBatch:
     """Entries for one statement: by their places from 1 on, and a block of the metrics among them.
 
     size: about as many bytes as it has.
@@ -194,7 +194,7 @@ class _Found:
         self.is_end = not cuts
 
 
-class Feeds(Session):
+class FeedQueries(Session):
     """The part of a JobStore that has the jobs' feeds."""
 
     def record(
@@ -213,7 +213,7 @@ class Feeds(Session):
             "channel": channel,
             "write_id": write_id,
             "progress": None if progress is None else progress.model_dump_json(),
-            **_Batch(entries).values(),
+            **_EntryBatch(entries).values(),
         }
         with self._statements() as connection:
             if connection.execute(_APPEND_AS_ATTEMPT[channel], values).first() is None:
@@ -315,7 +315,7 @@ class Feeds(Session):
 
 def append(connection: Connection, job_id: str, channel: Channel, said: Sequence[Entry]) -> None:
     """Number the entries and store them."""
-    append_all(connection, job_id, channel, [_Batch(said).values()])
+    append_all(connection, job_id, channel, [_EntryBatch(said).values()])
 
 
 @contextmanager
@@ -344,14 +344,14 @@ def append_all(
         )
 
 
-def _batches(said: Iterable[Entry]) -> Iterator[_Batch]:
+def _batches(said: Iterable[Entry]) -> Iterator[_EntryBatch]:
     """The entries in batches of which each is one statement."""
-    batch = _Batch()
+    batch = _EntryBatch()
     for entry in said:
         batch.add(entry)
         if batch.count == _BATCH or batch.size > _BATCH_BYTES:
             yield batch
-            batch = _Batch()
+            batch = _EntryBatch()
     if batch.count:
         yield batch
 

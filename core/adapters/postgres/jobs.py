@@ -40,7 +40,7 @@ from core.adapters.postgres.tables import (
 from core.errors import IdempotencyKeyReused, JobExists, JobInUse, JobNotFound, JobUnreadable, StaleJob
 from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id
 from core.jobs.status import JobStatus
-from core.jobs.store import Entry, Idempotency, JobQuery, Mark, Page, note_entry, status_entry
+from core.jobs.store import Entry, Idempotency, JobPage, JobQuery, Mark, note_entry, status_entry
 
 KEYS_REMEMBERED = timedelta(hours=24)
 # Rows of one call, which has two seconds: an import of 5,000 files was refused as an outage.
@@ -51,7 +51,7 @@ _MARKS_OF = select(jobs.c.id, jobs.c.version, jobs.c.num_events, jobs.c.num_logs
 )
 
 
-class Jobs(Session):
+class JobQueries(Session):
     """The part of a JobStore that has the jobs themselves."""
 
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
@@ -146,12 +146,12 @@ class Jobs(Session):
 
     def list(
         self, query: JobQuery, *, cursor: str | None = None, limit: int = 50, brief: bool = False
-    ) -> Page:
+    ) -> JobPage:
         before = None if cursor is None else check_cursor(cursor)
         with self._statements() as connection:
             found = listing.newest(connection, query, before, limit + 1)
             page = rows.jobs_of_rows(connection, found[:limit], brief=brief)
-        return Page(page, page[-1].id if listing.has_more(found, len(page)) else None)
+        return JobPage(page, page[-1].id if listing.has_more(found, len(page)) else None)
 
     def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
         if not job_ids:

@@ -49,7 +49,7 @@ _REMOVE = delete(dispatches).where(
 )
 
 
-class Leases(Session):
+class LeaseQueries(Session):
     """The part of a JobStore that decides who works on a job."""
 
     def renew(self, job_id: str, token: str, lease: timedelta) -> JobStatus:

@@ -23,7 +23,7 @@ log = structlog.get_logger()
 _UNREADABLE = "This version cannot read what was found out about it; send it again."
 
 
-class Models(Session):
+class ModelQueries(Session):
     """A ModelStore."""
 
     def find_model(self, model_id: str) -> ModelRecord:

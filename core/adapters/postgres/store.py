@@ -5,19 +5,19 @@ from datetime import datetime, timedelta
 from sqlalchemy import Engine, delete, select
 
 from core.adapters.postgres.engine import Clock
-from core.adapters.postgres.feeds import Feeds
-from core.adapters.postgres.jobs import Jobs
-from core.adapters.postgres.leases import Leases
-from core.adapters.postgres.models import Models
-from core.adapters.postgres.sweeps import Sweeps
+from core.adapters.postgres.feeds import FeedQueries
+from core.adapters.postgres.jobs import JobQueries
+from core.adapters.postgres.leases import LeaseQueries
+from core.adapters.postgres.models import ModelQueries
+from core.adapters.postgres.sweeps import SweepQueries
 from core.adapters.postgres.tables import NOW, idempotency_keys, pulse, workers
-from core.adapters.postgres.workers import Workers
+from core.adapters.postgres.workers import WorkerQueries
 
 # Built once: it is a part of every claim.
 _SELECT_NOW = select(NOW)
 
 
-class PostgresJobStore(Jobs, Leases, Feeds, Models, Sweeps, Workers):
+class PostgresJobStore(JobQueries, LeaseQueries, FeedQueries, ModelQueries, SweepQueries, WorkerQueries):
     """A SweepStore, and so a JobStore, for many processes; thread-safe.
 
     Each method is one transaction, or a few statements that are one each; the interfaces state its promises.

@@ -27,7 +27,7 @@ _FOUND = {"importance", "importance_note", "num_judged"}
 _ACTIVE = ("running", "cancelling")
 
 
-class Sweeps(Session):
+class SweepQueries(Session):
     """The part of a SweepStore that has the sweeps."""
 
     def add_sweep(

@@ -32,7 +32,7 @@ _PRESENT = (
 )
 
 
-class Workers(Session):
+class WorkerQueries(Session):
     """A WorkerStore."""
 
     def announce(self, worker: WorkerInfo, ttl: timedelta) -> None:

@@ -24,7 +24,7 @@ FORMAT = Format("gaitway-dqn-1")
 _ACTION_SET: TypeAdapter[ActionSetOptions] = TypeAdapter(ActionSetOptions)
 
 
-class Parameters(NamedTuple):
+class DqnParameters(NamedTuple):
     """network: Brax's parameters."""
 
     normalizer: RunningStatisticsState
@@ -32,7 +32,7 @@ class Parameters(NamedTuple):
 
 
 # (parameters, observation [..., obs], key) -> choices [..., parts] int32
-Choose = Callable[[Parameters, Any, jax.Array], jax.Array]
+Choose = Callable[[DqnParameters, Any, jax.Array], jax.Array]
 
 
 def write_policy(normalizer: Any, network: Any, facts: Mapping[str, Any]) -> bytes:
@@ -41,7 +41,7 @@ def write_policy(normalizer: Any, network: Any, facts: Mapping[str, Any]) -> byt
     return FORMAT.pack(facts, {}, {"normalizer": normalizer, "params": network})
 
 
-def read_policy(content: bytes) -> tuple[Parameters, Mapping[str, Any]]:
+def read_policy(content: bytes) -> tuple[DqnParameters, Mapping[str, Any]]:
     """The parameters in a checkpoint or a policy file, and its facts: the settings that a checkpoint fixes,
     `num_parts`, `num_choices`, and `epsilon`, the share of random choices at the end.
 
@@ -50,7 +50,7 @@ def read_policy(content: bytes) -> tuple[Parameters, Mapping[str, Any]]:
     facts, state = FORMAT.read(content)
     template = jax.device_get(init_normalizer(facts["observation_size"]))
     normalizer: Any = serialization.from_state_dict(template, state["normalizer"])
-    return Parameters(normalizer, state["params"]), facts
+    return DqnParameters(normalizer, state["params"]), facts
 
 
 def make_choose(facts: Mapping[str, Any], *, deterministic: bool = True) -> Choose:
@@ -60,7 +60,7 @@ def make_choose(facts: Mapping[str, Any], *, deterministic: bool = True) -> Choo
     normalize = normalization(facts["normalize_observations_max_abs_value"])
     epsilon = None if deterministic else jnp.float32(facts["epsilon"])
 
-    def choose(parameters: Parameters, observation: Any, key: jax.Array) -> jax.Array:
+    def choose(parameters: DqnParameters, observation: Any, key: jax.Array) -> jax.Array:
         seen = observation
         if facts["normalize_observations"]:
             seen = normalize(observation, parameters.normalizer)
@@ -79,7 +79,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
         action_set = make_action_set(options, environment)
         _check_shape(facts, environment, action_set)
 
-        def act(parameters: Parameters, state: State, key: jax.Array) -> jax.Array:
+        def act(parameters: DqnParameters, state: State, key: jax.Array) -> jax.Array:
             due = action_set.act(choose(parameters, state.obs, key))
             return ActionHold.due_or_held(state, facts["action_repeat"], due)
 

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from core.algorithms.memory import FLOAT_BYTES, Memory, Part, perceptron
+from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptron
 from core.algorithms.off_policy.spec import OffPolicySpec, environments_part, replay_part, replay_refusal
 from core.algorithms.ppo.spec import LayerSizes
 from core.algorithms.q_learning.checks import problems_of_the_actions
@@ -85,15 +85,15 @@ _COPIES = 5
 _NOTHING = FiniteSpace(0, 0)
 
 
-def least_memory(settings: DQNSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
+def least_memory(settings: DQNSpec, environment: EnvironmentInfo, num_devices: int) -> MemoryNeed:
     """Bytes, all in float32. Left out: the engine's own arrays, and activations. Unknown sizes count as 0."""
     space = _choices(settings, environment)
     outputs = space.num_parts * space.num_values
     network = perceptron([environment.observation_size or 0, *settings.hidden_layer_sizes, outputs])
-    return Memory(
+    return MemoryNeed(
         (
             replay_part(settings, environment, space.num_parts),
-            Part(
+            MemoryPart(
                 f"a network of {network:,} parameters with its gradient, Adam's moments and the network that "
                 "follows",
                 FLOAT_BYTES * _COPIES * network,

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from core.algorithms.export.network import Network
+from core.algorithms.export.network import PolicyNetwork
 
 FORMAT, VERSION = "gaitway-policy", 1
 
@@ -14,7 +14,7 @@ Parts = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
-class Origin:
+class PolicyOrigin:
     """Where a policy comes from.
 
     options: all of the environment's. step_s: seconds of one environment step. trained_steps: environment
@@ -30,7 +30,7 @@ class Origin:
     action_parts: Parts = ()
 
 
-def contract(network: Network, origin: Origin) -> dict[str, Any]:
+def contract(network: PolicyNetwork, origin: PolicyOrigin) -> dict[str, Any]:
     """The contract as a JSON document (docs/export.md). Where no parts have names, the whole is one."""
     observation, action = network.observation_size, network.action_size
     return {

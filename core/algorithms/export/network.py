@@ -17,7 +17,7 @@ class NotExportable(Exception):
 
 
 @dataclass(frozen=True)
-class Layer:
+class PolicyLayer:
     """kernel: [inputs, outputs]; bias: [outputs]."""
 
     kernel: Numbers
@@ -25,7 +25,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Network:
+class PolicyNetwork:
     """observation ↦ tanh(location), where the last layer gives location and scale, one after the other.
 
     mean, std: of observations, [observation_size]. max_abs: bound on the normalised observation; None: none.
@@ -37,7 +37,7 @@ class Network:
     mean: Numbers
     std: Numbers
     max_abs: float | None
-    layers: tuple[Layer, ...]
+    layers: tuple[PolicyLayer, ...]
     activation: str
     observation_name: str
     action_repeat: int
@@ -56,7 +56,7 @@ class Network:
         return sum(layer.kernel.nbytes + layer.bias.nbytes for layer in self.layers)
 
 
-def network_of(policy_file: bytes) -> Network:
+def network_of(policy_file: bytes) -> PolicyNetwork:
     """The network in a policy file of PPO or SAC.
 
     Raises JobFailed where the file is damaged, and NotExportable for a network with other parts than these.
@@ -67,7 +67,7 @@ def network_of(policy_file: bytes) -> Network:
     std: Any = params.normalizer.std
     if isinstance(mean, Mapping):
         mean, std = mean[config.policy_obs_key], std[config.policy_obs_key]
-    return Network(
+    return PolicyNetwork(
         mean=_float32(mean),
         std=_float32(std),
         max_abs=config.normalize_observations_max_abs_value,
@@ -78,13 +78,15 @@ def network_of(policy_file: bytes) -> Network:
     )
 
 
-def _layers(parts: Any) -> tuple[Layer, ...]:
+def _layers(parts: Any) -> tuple[PolicyLayer, ...]:
     names = [f"hidden_{i}" for i in range(len(parts))]
     unknown = {name for name in parts if name not in names}
     unknown |= {name for name in names if parts.get(name, {}).keys() != {"kernel", "bias"}}
     if unknown:
         raise NotExportable(f"its network has parts that exports do not know: {', '.join(sorted(unknown))}")
-    return tuple(Layer(_float32(parts[name]["kernel"]), _float32(parts[name]["bias"])) for name in names)
+    return tuple(
+        PolicyLayer(_float32(parts[name]["kernel"]), _float32(parts[name]["bias"])) for name in names
+    )
 
 
 def _float32(values: Any) -> Numbers:

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from core.algorithms.export.contract import as_text
-from core.algorithms.export.network import Network
+from core.algorithms.export.network import PolicyNetwork
 
 
-def numpy_file(network: Network, about: Mapping[str, Any]) -> bytes:
+def numpy_file(network: PolicyNetwork, about: Mapping[str, Any]) -> bytes:
     """The whole network and its contract, `about`, which is JSON text. Equal ones give equal bytes."""
     arrays: dict[str, Any] = {
         "about": np.array(as_text(about)),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from core.algorithms.export.contract import as_text
-from core.algorithms.export.network import Network, NotExportable
+from core.algorithms.export.network import NotExportable, PolicyNetwork
 
 # The versions of 2021, which runtimes of phones and robots read, too.
 _OPSET, _IR_VERSION = 15, 8
@@ -39,7 +39,7 @@ class _Graph:
         return name
 
 
-def onnx_file(network: Network, about: Mapping[str, Any]) -> bytes:
+def onnx_file(network: PolicyNetwork, about: Mapping[str, Any]) -> bytes:
     """`observation` [batch, observation_size] ↦ `action` [batch, action_size], both float32.
 
     The contract is the metadata `about`, as JSON text. Equal networks give equal bytes.
@@ -78,7 +78,7 @@ def _array(name: str, size: int) -> Any:
     return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
 
 
-def _normalized(graph: _Graph, network: Network) -> str:
+def _normalized(graph: _Graph, network: PolicyNetwork) -> str:
     centred = graph.add("Sub", "observation", graph.constant("observation_mean", network.mean))
     deviations = graph.add("Div", centred, graph.constant("observation_std", network.std))
     if network.max_abs is None:

@@ -14,7 +14,7 @@ from core.algorithms.brax_training import (
     running_statistics,
 )
 from core.algorithms.evaluation import Policy
-from core.algorithms.experience import Outcome, Starts, collect
+from core.algorithms.experience import Starts, StepOutcomes, collect
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.spec import OffPolicySpec
 from core.environments.environment import Environment
@@ -36,7 +36,7 @@ class Acted(NamedTuple):
     """The result of one update's acting. enough: [] bool, whether there are transitions to learn from."""
 
     transitions: Transition
-    outcome: Outcome
+    outcome: StepOutcomes
     enough: jax.Array
 
 
@@ -119,9 +119,9 @@ def _starts(envs: VectorEnv, settings: OffPolicySpec, key: jax.Array) -> Starts 
     )
 
 
-def _rows(transitions: Transition, outcome: Outcome) -> replays.Rows:
+def _rows(transitions: Transition, outcome: StepOutcomes) -> replays.ReplayRows:
     extras = cast("Any", transitions.extras)
-    return replays.Rows(
+    return replays.ReplayRows(
         observation=cast("Any", transitions.observation),
         action=extras["policy_extras"]["action"],
         reward=transitions.reward,

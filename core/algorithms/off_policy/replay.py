@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 
 @struct.dataclass
-class Rows:
+class ReplayRows:
     """A row for each action of all environments, [rows, num_envs, ...].
 
     ended: 1 where the environment ended the episode; truncated: 1 where its length did.
@@ -30,7 +30,7 @@ class Rows:
 class Replay:
     """A ring of rows. written: [] int32, rows since the beginning; the oldest are overwritten."""
 
-    rows: Rows
+    rows: ReplayRows
     written: Int[Array, ""]
 
     @property
@@ -56,7 +56,7 @@ class Sample(NamedTuple):
 def empty(num_rows: int, num_envs: int, observation_size: int, action_size: int) -> Replay:
     """Room for `num_rows` actions of each environment."""
     zeros = jnp.zeros((num_rows, num_envs))
-    rows = Rows(
+    rows = ReplayRows(
         observation=jnp.zeros((num_rows, num_envs, observation_size)),
         action=jnp.zeros((num_rows, num_envs, action_size)),
         reward=zeros,
@@ -66,7 +66,7 @@ def empty(num_rows: int, num_envs: int, observation_size: int, action_size: int)
     return Replay(rows, jnp.int32(0))
 
 
-def added(replay: Replay, rows: Rows) -> Replay:
+def added(replay: Replay, rows: ReplayRows) -> Replay:
     """The replay after T more rows [T, N, ...]; T is the capacity at most."""
     places = (replay.written + jnp.arange(len(rows.reward))) % replay.capacity
     kept = jax.tree.map(lambda old, new: old.at[places].set(new), replay.rows, rows)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from core.algorithms.memory import FLOAT_BYTES, Part, shown
+from core.algorithms.memory import FLOAT_BYTES, MemoryPart, shown
 from core.algorithms.ppo.spec import Activation
 from core.algorithms.spec import BaseSpec, check_curriculum
 from core.environments.info import EnvironmentInfo
@@ -209,14 +209,14 @@ def replay_bytes(settings: OffPolicySpec, environment: EnvironmentInfo, numbers_
     return FLOAT_BYTES * settings.replay_rows * settings.num_envs * numbers
 
 
-def replay_part(settings: OffPolicySpec, environment: EnvironmentInfo, numbers_per_action: int) -> Part:
+def replay_part(settings: OffPolicySpec, environment: EnvironmentInfo, numbers_per_action: int) -> MemoryPart:
     """The replay's part of a run's memory."""
     kept = settings.replay_rows * settings.num_envs
     size = replay_bytes(settings, environment, numbers_per_action)
-    return Part(f"the {kept:,} transitions that are kept", size, ("max_replay_size",))
+    return MemoryPart(f"the {kept:,} transitions that are kept", size, ("max_replay_size",))
 
 
-def environments_part(settings: OffPolicySpec, environment: EnvironmentInfo) -> Part:
+def environments_part(settings: OffPolicySpec, environment: EnvironmentInfo) -> MemoryPart:
     """The numbers that are certainly kept of each environment: its observation and its reward."""
     size = FLOAT_BYTES * settings.num_envs * ((environment.observation_size or 0) + 1)
-    return Part(f"{settings.num_envs:,} environments", size, ("num_envs",))
+    return MemoryPart(f"{settings.num_envs:,} environments", size, ("num_envs",))

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from core.algorithms.memory import FLOAT_BYTES, Memory, Part, perceptron
+from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptron
 from core.algorithms.spec import BaseSpec, check_curriculum
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
@@ -277,7 +277,7 @@ _SCALARS = 4
 _COPIES = 4
 
 
-def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
+def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: int) -> MemoryNeed:
     """Bytes on each device, all in float32.
 
     Left out, because they cannot be bounded from below without loading the environment: the engine's own
@@ -291,19 +291,21 @@ def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: i
     parameters = perceptron([observation, *settings.policy_hidden_layer_sizes, 2 * action])
     parameters += perceptron([observation, *settings.value_hidden_layer_sizes, 1])
     num_envs = settings.num_envs // num_devices
-    return Memory(
+    return MemoryNeed(
         (
-            Part(
+            MemoryPart(
                 f"the {transitions:,} transitions of one update",
                 FLOAT_BYTES * transitions * numbers,
                 ("batch_size", "num_minibatches", "unroll_length"),
             ),
-            Part(
+            MemoryPart(
                 f"networks of {parameters:,} parameters with their gradient and Adam's moments",
                 FLOAT_BYTES * _COPIES * parameters,
                 ("policy_hidden_layer_sizes", "value_hidden_layer_sizes"),
             ),
             # Their observations; the rest of their state depends on the model.
-            Part(f"{num_envs:,} environments", FLOAT_BYTES * num_envs * (observation + 1), ("num_envs",)),
+            MemoryPart(
+                f"{num_envs:,} environments", FLOAT_BYTES * num_envs * (observation + 1), ("num_envs",)
+            ),
         )
     )

@@ -1,6 +1,6 @@
 """Which hyperparameters of Q-learning go together, and with which environment; a run's least memory."""
 
-from core.algorithms.memory import FLOAT_BYTES, Memory, Part
+from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart
 from core.algorithms.q_learning.spec import (
     MAX_CELLS,
     MAX_ENVS,
@@ -209,7 +209,7 @@ _TABLES = 3
 _NUMBERS = 6
 
 
-def least_memory(settings: QLearningSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
+def least_memory(settings: QLearningSpec, environment: EnvironmentInfo, num_devices: int) -> MemoryNeed:
     """Bytes, all numbers of 4. A run without states or actions, which is refused elsewhere, has no table."""
     agents, cells = settings.num_agents, 0
     if settings.state_discretizer is not None and settings.action_set is not None:
@@ -219,19 +219,19 @@ def least_memory(settings: QLearningSpec, environment: EnvironmentInfo, num_devi
             cells = agents * states.num_values * choices.num_values
     replayed = agents * settings.replay_buffer_size
     observation = environment.observation_size or 0
-    return Memory(
+    return MemoryNeed(
         (
-            Part(
+            MemoryPart(
                 f"tables of {cells:,} cells",
                 FLOAT_BYTES * _TABLES * cells,
                 ("the cells of the state discretizer", "agents"),
             ),
-            Part(
+            MemoryPart(
                 f"{replayed:,} transitions to replay",
                 FLOAT_BYTES * _NUMBERS * replayed,
                 ("replay.buffer_size", "agents"),
             ),
-            Part(
+            MemoryPart(
                 f"{settings.num_parallel_envs:,} environments",
                 FLOAT_BYTES * settings.num_parallel_envs * (observation + 1),
                 ("num_envs", "agents"),

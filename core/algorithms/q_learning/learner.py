@@ -87,7 +87,7 @@ class TrainingState:
 
     table: jax.Array
     visits: jax.Array
-    replay: replays.Replay | None
+    replay: replays.TransitionReplay | None
     key: jax.Array
     eval_key: jax.Array
     eval_return: jax.Array
@@ -99,7 +99,7 @@ class _Learning(NamedTuple):
 
     table: jax.Array
     visits: jax.Array
-    replay: replays.Replay | None
+    replay: replays.TransitionReplay | None
 
 
 @dataclass(frozen=True)

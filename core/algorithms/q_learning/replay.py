@@ -11,7 +11,7 @@ from core.algorithms.q_learning.table import Transitions
 
 
 @struct.dataclass
-class Replay:
+class TransitionReplay:
     """A ring of transitions [buffer_size]. count: [] int32, how many it holds; head: [] int32, where the next
     one goes."""
 
@@ -20,27 +20,27 @@ class Replay:
     head: jax.Array
 
 
-def empty(buffer_size: int) -> Replay:
+def empty(buffer_size: int) -> TransitionReplay:
     """A buffer without a transition."""
     index, number = jnp.zeros(buffer_size, jnp.int32), jnp.zeros(buffer_size)
     steps = Transitions(index, index, number, index, number, number)
-    return Replay(steps, jnp.int32(0), jnp.int32(0))
+    return TransitionReplay(steps, jnp.int32(0), jnp.int32(0))
 
 
-def add(replay: Replay, steps: Transitions) -> Replay:
+def add(replay: TransitionReplay, steps: Transitions) -> TransitionReplay:
     """The buffer with these transitions [N] instead of its oldest; of too many, with the last of them."""
     size = len(replay.steps.row)
     newest = jax.tree.map(lambda x: x[-size:], steps)
     num = len(newest.row)
     places = (replay.head + jnp.arange(num)) % size
-    return Replay(
+    return TransitionReplay(
         steps=jax.tree.map(lambda kept, new: kept.at[places].set(new), replay.steps, newest),
         count=jnp.minimum(replay.count + num, size),
         head=(replay.head + num) % size,
     )
 
 
-def draw(replay: Replay, key: jax.Array, batch_size: int) -> Transitions:
+def draw(replay: TransitionReplay, key: jax.Array, batch_size: int) -> Transitions:
     """[batch_size] of the transitions that it holds, each any of them; of weight 0 where it holds none."""
     chosen = jax.random.randint(key, (batch_size,), 0, jnp.maximum(replay.count, 1))
     return jax.tree.map(lambda x: x[chosen], replay.steps)

@@ -17,7 +17,14 @@ from core.environments.brittle_star.options import (
     UndirectedOptions,
     observed,
 )
-from core.environments.brittle_star.tasks import Directed, LightEscape, Measured, Task, Undirected, show
+from core.environments.brittle_star.tasks import (
+    Directed,
+    LightEscape,
+    StarTask,
+    TaskMeasurement,
+    Undirected,
+    show,
+)
 from core.environments.cpg.actions import steered_by_oscillators
 from core.environments.environment import Discretization, Environment, Seen, State, StateDiscretizer
 from core.environments.mujoco_env import MujocoEnv, initial, scaled_to_control
@@ -115,7 +122,7 @@ class BrittleStar(MujocoEnv):
     reports_rewards = False
 
     def __init__(
-        self, options: Options, model: mujoco.MjModel, task: Task, build_engine: EngineBuilder
+        self, options: Options, model: mujoco.MjModel, task: StarTask, build_engine: EngineBuilder
     ) -> None:
         self._observed = observed(options)
         accelerated = SolverSettings.of_job(options.iterations, options.ls_iterations, implicit_damping=False)
@@ -163,7 +170,7 @@ class BrittleStar(MujocoEnv):
             info=_info(physics, info, new),
         )
 
-    def _observe(self, physics: PhysicsState, measured: Measured) -> jax.Array:
+    def _observe(self, physics: PhysicsState, measured: TaskMeasurement) -> jax.Array:
         """The observables of the options, in biorobot's order."""
         of_the_body = {
             name: observe_body(physics, name) for name in BODY_OBSERVABLES if name in self._observed
@@ -171,7 +178,9 @@ class BrittleStar(MujocoEnv):
         every = {**of_the_body, **measured.observables}
         return jnp.concatenate([every[name] for name in self._observed])
 
-    def _metrics(self, before: PhysicsState, after: PhysicsState, measured: Measured) -> dict[str, jax.Array]:
+    def _metrics(
+        self, before: PhysicsState, after: PhysicsState, measured: TaskMeasurement
+    ) -> dict[str, jax.Array]:
         """The disk's position and velocity: m, m/s."""
         x, y, height = after.qpos[:3]
         velocity = (after.qpos - before.qpos)[:2] / self.dt
@@ -193,7 +202,9 @@ def _derived(observed: Sequence[str]) -> tuple[str, ...]:
     return (*(("qfrc_actuator",) if forces else ()), *(("sensordata",) if contacts else ()))
 
 
-def _info(physics: PhysicsState, info: Mapping[str, jax.Array], measured: Measured) -> dict[str, jax.Array]:
+def _info(
+    physics: PhysicsState, info: Mapping[str, jax.Array], measured: TaskMeasurement
+) -> dict[str, jax.Array]:
     return {
         **info,
         **measured.info,

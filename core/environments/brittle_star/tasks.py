@@ -76,7 +76,7 @@ _TARGET_HEIGHT_M = 0.05
 
 
 @struct.dataclass
-class Measured:
+class TaskMeasurement:
     """The measurements of a task in a state. potential: []; a step's reward is its growth.
 
     done: [], 1 where the task is done. observables: arrays [n] by biorobot's names. info, metrics: what the
@@ -90,7 +90,7 @@ class Measured:
     metrics: Named
 
 
-class Task(Protocol):
+class StarTask(Protocol):
     @property
     def derived(self) -> tuple[str, ...]:
         """The fields that `measure` reads."""
@@ -100,7 +100,7 @@ class Task(Protocol):
         """The values that stay the same for an episode; they are kept in the State's info."""
         ...
 
-    def measure(self, physics: PhysicsState, drawn: Named) -> Measured: ...
+    def measure(self, physics: PhysicsState, drawn: Named) -> TaskMeasurement: ...
 
 
 class Directed:
@@ -120,12 +120,12 @@ class Directed:
             place = jnp.asarray(fixed, jnp.float32)
         return {"target_position": jnp.append(place, _TARGET_HEIGHT_M)}
 
-    def measure(self, physics: PhysicsState, drawn: Named) -> Measured:
+    def measure(self, physics: PhysicsState, drawn: Named) -> TaskMeasurement:
         way = drawn["target_position"][:2] - physics.qpos[:2]
         distance = jnp.linalg.norm(way)
         direction = way / jnp.maximum(distance, 1e-9)
         reached = jnp.where(distance < TARGET_RADIUS_M, 1.0, 0.0)
-        return Measured(
+        return TaskMeasurement(
             potential=-distance,
             done=reached,
             observables={
@@ -145,9 +145,9 @@ class Undirected:
     def draw(self, key: jax.Array) -> Named:
         return {}
 
-    def measure(self, physics: PhysicsState, drawn: Named) -> Measured:
+    def measure(self, physics: PhysicsState, drawn: Named) -> TaskMeasurement:
         distance = jnp.linalg.norm(physics.qpos[:2])
-        return Measured(distance, jnp.zeros(()), {}, {}, {})
+        return TaskMeasurement(distance, jnp.zeros(()), {}, {}, {})
 
 
 class LightEscape:
@@ -169,12 +169,12 @@ class LightEscape:
     def draw(self, key: jax.Array) -> Named:
         return {}
 
-    def measure(self, physics: PhysicsState, drawn: Named) -> Measured:
+    def measure(self, physics: PhysicsState, drawn: Named) -> TaskMeasurement:
         segments = physics.derived["geom_xpos"][self._capsules, :2]
         points = jnp.concatenate([segments, physics.qpos[None, :2]])
         light = light_at(jnp.asarray(self.light_map), self._half_lengths, points)
         income = jnp.dot(self._shares, light)
-        return Measured(
+        return TaskMeasurement(
             potential=-income,
             done=jnp.zeros(()),
             observables={"segment_light_intake": light[:-1], "disk_light_intake": light[-1:]},

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.environments.cpg.options import CPGOptions
-from core.environments.cpg.oscillators import Network, Oscillators, advance, at_rest, output
+from core.environments.cpg.oscillators import OscillatorNetwork, Oscillators, advance, at_rest, output
 from core.environments.cpg.roles import (
     Gait,
     action_size,
@@ -127,10 +127,10 @@ class CPGActions(Wrapped):
         return Gait(2 * pi * gait.frequency_hz, gait.sweep, gait.stroke, gait.lift, 2 * pi * gait.lag)
 
     @property
-    def _network(self) -> Network:
+    def _network(self) -> OscillatorNetwork:
         options = self.options
         coupling = weights(self.num_arms, options.coupling_weight)
-        return Network(jnp.asarray(coupling), options.amplitude_gain, options.offset_gain)
+        return OscillatorNetwork(jnp.asarray(coupling), options.amplitude_gain, options.offset_gain)
 
 
 def steered_by_oscillators(environment: Environment, num_arms: int, options: CPGOptions) -> CPGActions:

@@ -48,7 +48,7 @@ class Modulation:
 
 
 @struct.dataclass
-class Network:
+class OscillatorNetwork:
     """The constants. weights (w_ij): [n, n], how strongly i follows j, per second and unit of j's amplitude.
     The gains (a_i) are twice the rate, in 1/s, at which amplitudes and offsets settle."""
 
@@ -63,7 +63,7 @@ def at_rest(phases: jax.Array) -> Oscillators:
     return Oscillators(phases, zeros, zeros, zeros, zeros)
 
 
-def derivative(network: Network, modulation: Modulation, now: Oscillators) -> Oscillators:
+def derivative(network: OscillatorNetwork, modulation: Modulation, now: Oscillators) -> Oscillators:
     """The time derivative of the whole state.
 
     φ'_i = ω_i + Σ_j w_ij r_j sin(φ_j - φ_i - φ_ij);  r''_i = a (a/4 (R_i - r_i) - r'_i);  the offset like r.
@@ -115,7 +115,7 @@ _STEPS = {"euler": euler, "rk4": rk4}
 
 
 def advance(
-    network: Network,
+    network: OscillatorNetwork,
     modulation: Modulation,
     now: Oscillators,
     dt: float,

@@ -38,7 +38,7 @@ _LITTER = ("__MACOSX", ".DS_Store")
 
 
 @dataclass(frozen=True)
-class Archive:
+class ModelArchive:
     """main: the main document's path; is_urdf: whether it is URDF. names: of all files in the archive."""
 
     body: bytes
@@ -68,7 +68,7 @@ def is_zip(body: bytes) -> bool:
     return body.startswith(_ZIP)
 
 
-def examine(body: bytes) -> Archive:
+def examine(body: bytes) -> ModelArchive:
     """The file's content. Raises BadModel if it may not be unpacked, or lacks files that it names."""
     if not is_zip(body):
         if len(body) > MAX_XML_BYTES:
@@ -80,7 +80,7 @@ def examine(body: bytes) -> Archive:
                 f"The document names the file {document.references[0].file!r}: send both in a zip."
             )
         _check_root(main, document)
-        return Archive(body, main, document.root == URDF, (main,))
+        return ModelArchive(body, main, document.root == URDF, (main,))
     entries, comment = _entries(body)
     names = [entry.filename for entry in entries]
     sizes = {entry.filename: entry.file_size for entry in entries if _is_document(entry.filename)}
@@ -93,7 +93,7 @@ def examine(body: bytes) -> Archive:
     reached = {name: _sound(documents[name]) for name in documents if name in possibly}
     _check_root(main, reached[main])
     _check_references(main, reached, surely, names)
-    return Archive(body, main, reached[main].root == URDF, tuple(names))
+    return ModelArchive(body, main, reached[main].root == URDF, tuple(names))
 
 
 def _is_document(name: str) -> bool:

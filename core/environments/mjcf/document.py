@@ -16,7 +16,7 @@ _WORDS = {"name", "class", "childclass", "model", "filename", "file"}
 
 
 @dataclass(frozen=True)
-class Reference:
+class FileReference:
     """A file that an element names."""
 
     element: str
@@ -28,7 +28,7 @@ class Document:
     """root: the outermost element. folders: where the compiler looks for files."""
 
     root: str = ""
-    references: list[Reference] = field(default_factory=list[Reference])
+    references: list[FileReference] = field(default_factory=list[FileReference])
     folders: list[str] = field(default_factory=list[str])
 
 
@@ -76,7 +76,7 @@ def parse(name: str, body: bytes) -> Document:
 
 def _note(document: Document, element: str, attribute: str, value: str) -> None:
     if attribute.startswith("file") and value:
-        document.references.append(Reference(element, value))
+        document.references.append(FileReference(element, value))
     elif attribute in ("meshdir", "texturedir", "assetdir"):
         document.folders.append(value)
     elif attribute not in _WORDS:

@@ -9,9 +9,13 @@ from itertools import islice
 
 import mujoco
 
-from core.physics.compiled.constraints.constraints import Constraints, constraint_rows, read_constraints
-from core.physics.compiled.constraints.constraints import State as Placed
-from core.physics.compiled.constraints.solver import Problem, Settings, acceleration
+from core.physics.compiled.constraints.constraints import (
+    Constraints,
+    ConstraintState,
+    constraint_rows,
+    read_constraints,
+)
+from core.physics.compiled.constraints.solver import Settings, SolverProblem, acceleration
 from core.physics.compiled.fields import NOMINAL, Fields, Own, is_zero
 from core.physics.compiled.program.arithmetic import Number, Vector, add, scale
 from core.physics.compiled.program.flow import repeat
@@ -27,7 +31,13 @@ from core.physics.compiled.readings.force_sensors import (
     force_readings,
     read_force_sensors,
 )
-from core.physics.compiled.smooth.actuation import Actuator, ActuatorState, Driven, driven, read_actuators
+from core.physics.compiled.smooth.actuation import (
+    ActuatorConstants,
+    ActuatorState,
+    Driven,
+    driven,
+    read_actuators,
+)
 from core.physics.compiled.smooth.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
 from core.physics.compiled.smooth.factor import factorize, multiply, solve
 from core.physics.compiled.smooth.fluid import Fluid, drag_forces, read_fluid
@@ -47,7 +57,7 @@ class Model:
 
     tree: Tree
     tendons: tuple[Tendon, ...]
-    actuators: tuple[Actuator, ...]
+    actuators: tuple[ActuatorConstants, ...]
     fluid: Fluid
     constraints: Constraints
     timestep: float
@@ -64,7 +74,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class State:
+class SubstepState:
     """The state before a substep. qpos: [nq]. qvel: [nv]. act: [na]. qacc: [nv], the last substep's."""
 
     qpos: Vector
@@ -74,7 +84,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Moved(State):
+class Moved(SubstepState):
     """qfrc_actuator: [nv], and the readings of touch and force sensors: of the last substep."""
 
     qfrc_actuator: Vector
@@ -105,7 +115,7 @@ def read_model(model: mujoco.MjModel, own: Own = NOMINAL) -> Model:
 
 
 def control_step(
-    model: Model, num_substeps: int, state: State, ctrl: Vector, *, reads_forces: bool = False
+    model: Model, num_substeps: int, state: SubstepState, ctrl: Vector, *, reads_forces: bool = False
 ) -> Moved:
     """The state after some substeps under a control [nu] that stays the same.
 
@@ -115,7 +125,7 @@ def control_step(
     sizes = [len(part) for part in (state.qpos, state.qvel, state.act, state.qacc, blank)]
 
     def body(carried: list[Number]) -> tuple[list[Number], Number]:
-        moved = substep(model, State(*_parted(carried, sizes)[:4]), ctrl)
+        moved = substep(model, SubstepState(*_parted(carried, sizes)[:4]), ctrl)
         kept = moved if reads_forces else replace(moved, qfrc_actuator=[])
         return _joined(kept), True
 
@@ -124,7 +134,7 @@ def control_step(
     return Moved(*_parted(repeat(num_substeps, body, _joined(begun)), sizes))
 
 
-def substep(model: Model, state: State, ctrl: Vector) -> Moved:
+def substep(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
     """The state one timestep later under a control [nu]."""
     problem, now = _problem(model, state, ctrl)
     done = now.done
@@ -134,7 +144,7 @@ def substep(model: Model, state: State, ctrl: Vector) -> Moved:
     return Moved(qpos, qvel, done.act, found, done.on_dofs, _readings(model, problem, now, found))
 
 
-def unmoved(model: Model, state: State, ctrl: Vector) -> Moved:
+def unmoved(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
     """The state itself, with the forces in it under a control [nu]."""
     problem, now = _problem(model, state, ctrl)
     readings: Vector = []
@@ -152,7 +162,9 @@ def readings_by_sensor(model: Model, moved: Moved) -> Mapping[int, Vector]:
     if model.contact_sensors:
         at = poses(model.tree, moved.qpos)
         moving = motion(model.tree, at, moved.qvel)
-        rows = constraint_rows(model.tree, model.constraints, at, moving, Placed(moved.qpos, moved.qvel))
+        rows = constraint_rows(
+            model.tree, model.constraints, at, moving, ConstraintState(moved.qpos, moved.qvel)
+        )
         counted = numbers_touching(model.contact_sensors, model.constraints.contacts, rows.distances)
         pairs = zip(model.contact_sensors, counted, strict=True)
         found |= {one.number: [number] for one, number in pairs}
@@ -170,7 +182,7 @@ def with_sensors(read: Model, model: mujoco.MjModel) -> Model:
     )
 
 
-def _problem(model: Model, state: State, ctrl: Vector) -> tuple[Problem, Instant]:
+def _problem(model: Model, state: SubstepState, ctrl: Vector) -> tuple[SolverProblem, Instant]:
     """The solver's problem in this state, and the state with the forces of the actuators."""
     tree = model.tree
     at = poses(tree, state.qpos)
@@ -178,12 +190,12 @@ def _problem(model: Model, state: State, ctrl: Vector) -> tuple[Problem, Instant
     mass = with_armature(model.tendons, mass_matrix(tree, moving))
     force, done = _smooth_forces(model, state, ctrl, at, moving)
     free = solve(tree, factorize(tree, mass), force)
-    placed = Placed(state.qpos, state.qvel)
+    placed = ConstraintState(state.qpos, state.qvel)
     rows = constraint_rows(tree, model.constraints, at, moving, placed)
-    return Problem(tree, mass, force, free, rows), Instant(tree, at, moving, state.qvel, done)
+    return SolverProblem(tree, mass, force, free, rows), Instant(tree, at, moving, state.qvel, done)
 
 
-def _readings(model: Model, problem: Problem, now: Instant, found: Vector) -> Vector:
+def _readings(model: Model, problem: SolverProblem, now: Instant, found: Vector) -> Vector:
     """The readings of the touch and force sensors, under the solved acceleration [nv]."""
     felt = list[Vector]()
     if model.touch_sensors:
@@ -201,7 +213,7 @@ def _implicit(fields: Fields, tree: Tree) -> Implicit:
 
 
 def _smooth_forces(
-    model: Model, state: State, ctrl: Vector, at: Poses, moving: Motion
+    model: Model, state: SubstepState, ctrl: Vector, at: Poses, moving: Motion
 ) -> tuple[Vector, Driven]:
     """All forces but the constraints', [nv], and what the actuators do."""
     tree, qpos, qvel = model.tree, state.qpos, state.qvel
@@ -216,7 +228,7 @@ def _smooth_forces(
     return [x + y - z for x, y, z in zip(passive, done.on_dofs, bias, strict=True)], done
 
 
-def _integrated(model: Model, problem: Problem, found: Vector, done: Driven) -> Vector:
+def _integrated(model: Model, problem: SolverProblem, found: Vector, done: Driven) -> Vector:
     """The acceleration by which the velocity changes, [nv].
 
     All forces, with those of constraints, are M times the acceleration that was found. Computed from the

@@ -19,7 +19,7 @@ from core.physics.compiled.readings.scene import NO_READINGS, Scene
 from core.physics.compiled.substep import (
     Model,
     Moved,
-    State,
+    SubstepState,
     control_step,
     read_model,
     readings_by_sensor,
@@ -79,7 +79,7 @@ def derived_program(plan: Plan) -> Program:
     """From qpos, qvel and, if it is among the inputs, act, under controls of 0, to the derived fields."""
     program, given, model = _begun(plan)
     act: Vector = [*given["act"]] or [0.0] * plan.model.na
-    state = State(given["qpos"], given["qvel"], act, [0.0] * plan.model.nv)
+    state = SubstepState(given["qpos"], given["qvel"], act, [0.0] * plan.model.nv)
     standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
     if _OF_FORCES in plan.derived or model.num_readings:
         standing = unmoved(model, state, [0.0] * plan.model.nu)
@@ -102,8 +102,8 @@ def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, V
     return program, given, with_lane_constants(program, read, limbs) if limbs else read
 
 
-def _state(given: Mapping[str, Vector]) -> State:
-    return State(given["qpos"], given["qvel"], given["act"], given["qacc_warmstart"])
+def _state(given: Mapping[str, Vector]) -> SubstepState:
+    return SubstepState(given["qpos"], given["qvel"], given["act"], given["qacc_warmstart"])
 
 
 def _derived(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from core.rendering.replay.parts import parts
 from core.rendering.scene import TARGET_BODY
-from core.rendering.timeline import Floats, Motion
+from core.rendering.timeline import EpisodeMotion, Floats
 
 # Viewers interpolate between frames: more would only cost bytes.
 _FRAMES_PER_SECOND = 60
@@ -22,7 +22,7 @@ _PULLEY = -2
 
 
 @dataclass(frozen=True)
-class Poses:
+class EpisodePoses:
     """N frames of M bodies. arrays: by name, as `docs/replay.md` lists them; scale_m: what 32767 means in
     `position` and `contact_position`, in metres. parts: nodes that are elsewhere, or of another size, in this
     episode.
@@ -34,7 +34,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class _Frame:
+class _PoseFrame:
     """position [M, 3], rotation [M, 4]; contacts [C, 6]: points and normals; segments [S, 2, 3] of the
     tendons numbered in `tendons` [S]."""
 
@@ -59,11 +59,13 @@ def target_body(model: mujoco.MjModel) -> int | None:
     return number if is_mark else None
 
 
-def poses(model: mujoco.MjModel, motion: Motion) -> Poses:
+def poses(model: mujoco.MjModel, motion: EpisodeMotion) -> EpisodePoses:
     """The poses of an episode, at most some 60 frames a second, the last state among them."""
     rows = frame_rows(motion.time)
     frames = list(_frames(model, motion, rows))
-    return Poses(*_packed(motion.time[rows] - motion.time[0], frames), parts=_changed_parts(model, motion))
+    return EpisodePoses(
+        *_packed(motion.time[rows] - motion.time[0], frames), parts=_changed_parts(model, motion)
+    )
 
 
 def frame_rows(time: Floats) -> NDArray[np.int64]:
@@ -74,7 +76,7 @@ def frame_rows(time: Floats) -> NDArray[np.int64]:
     return rows if rows[-1] == len(time) - 1 else np.append(rows, len(time) - 1)
 
 
-def _frames(model: mujoco.MjModel, motion: Motion, rows: NDArray[np.int64]) -> Iterator[_Frame]:
+def _frames(model: mujoco.MjModel, motion: EpisodeMotion, rows: NDArray[np.int64]) -> Iterator[_PoseFrame]:
     model = copy.copy(model)
     for name, values in motion.model.items():
         getattr(model, name)[:] = values
@@ -94,7 +96,9 @@ def _frames(model: mujoco.MjModel, motion: Motion, rows: NDArray[np.int64]) -> I
         mujoco.mj_collision(model, data)
         if target is not None and mark is not None:
             target = data.xpos[mark].copy()
-        yield _Frame(data.xpos[bodies], data.xquat[bodies], _contacts(data), *_tendons(model, data), target)
+        yield _PoseFrame(
+            data.xpos[bodies], data.xquat[bodies], _contacts(data), *_tendons(model, data), target
+        )
 
 
 def _contacts(data: mujoco.MjData) -> Floats:
@@ -120,7 +124,7 @@ def _tendons(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Floats, NDArra
     return np.array(segments, float).reshape(-1, 2, 3), np.array(owners, np.int64)
 
 
-def _packed(time: Floats, frames: list[_Frame]) -> tuple[dict[str, NDArray[Any]], float]:
+def _packed(time: Floats, frames: list[_PoseFrame]) -> tuple[dict[str, NDArray[Any]], float]:
     """The arrays of the file, and the scale of those that hold positions."""
     num_bodies = len(frames[0].position)
     origin = np.array([one.position[0] if num_bodies else np.zeros(3) for one in frames])
@@ -151,7 +155,7 @@ def _units(values: Floats) -> NDArray[np.int16]:
     return np.round(_UNITS * np.clip(values, -1.0, 1.0)).astype(np.int16)
 
 
-def _changed_parts(model: mujoco.MjModel, motion: Motion) -> list[dict[str, Any]]:
+def _changed_parts(model: mujoco.MjModel, motion: EpisodeMotion) -> list[dict[str, Any]]:
     """The nodes of geoms that are elsewhere, or of another size, in this episode, and how."""
     positions = motion.model.get("geom_pos", model.geom_pos)
     sizes = motion.model.get("geom_size", model.geom_size)

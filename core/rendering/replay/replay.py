@@ -12,8 +12,8 @@ from core.rendering.replay.materials import sky
 from core.rendering.replay.poses import frame_rows, moving_bodies, poses, target_body
 from core.rendering.replay.replay_file import ReplayEpisode, replay_bytes
 from core.rendering.replay.scene_file import scene_bytes
-from core.rendering.scene import Quality, View, following_view, prepare
-from core.rendering.timeline import Floats, Motion
+from core.rendering.scene import CameraView, Quality, following_view, prepare
+from core.rendering.timeline import EpisodeMotion, Floats
 
 # Pictures are drawn by the browser: these sizes of the model's buffers do not matter.
 _UNUSED = Quality(samples=0, shadow_pixels=0)
@@ -28,7 +28,7 @@ def scene_of(model: mujoco.MjModel, qpos: Floats, tracked_body: int) -> bytes:
 
 def replay_of(
     model: mujoco.MjModel,
-    motions: Sequence[Motion],
+    motions: Sequence[EpisodeMotion],
     rewards: Sequence[NDArray[np.floating[Any]]],
     facts: Sequence[Mapping[str, Any]],
     tracked_body: int,
@@ -43,14 +43,14 @@ def replay_of(
     return replay_bytes(_about(shown, view, tracked_body), episodes)
 
 
-def _shown(model: mujoco.MjModel, qpos: Floats, tracked_body: int) -> tuple[mujoco.MjModel, View]:
+def _shown(model: mujoco.MjModel, qpos: Floats, tracked_body: int) -> tuple[mujoco.MjModel, CameraView]:
     view = following_view(model, qpos, tracked_body)
     shown = copy.copy(model)
     prepare(shown, view, _UNUSED, width=0, height=0)
     return shown, view
 
 
-def _returns(motion: Motion, reward: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+def _returns(motion: EpisodeMotion, reward: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     return np.concatenate([[0.0], np.cumsum(reward, dtype=np.float64)])[frame_rows(motion.time)]
 
 
@@ -64,7 +64,7 @@ def _sun(model: mujoco.MjModel) -> dict[str, Any]:
     return {"direction": [0.35, 0.35, -1.0], "diffuse": [0.7, 0.7, 0.7]}
 
 
-def _about(model: mujoco.MjModel, view: View, tracked_body: int) -> dict[str, Any]:
+def _about(model: mujoco.MjModel, view: CameraView, tracked_body: int) -> dict[str, Any]:
     return {
         "bodies": moving_bodies(model),
         "tracked_body": tracked_body,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.rendering.replay.poses import Poses
+from core.rendering.replay.poses import EpisodePoses
 
 MAGIC, VERSION = b"GWREPLAY", 1
 _START = len(MAGIC) + 8
@@ -26,7 +26,7 @@ _START = len(MAGIC) + 8
 class ReplayEpisode:
     """An episode of a replay. facts: for the header; returns: [N], the return until each frame."""
 
-    poses: Poses
+    poses: EpisodePoses
     returns: NDArray[np.floating[Any]]
     facts: Mapping[str, Any]
 

@@ -17,12 +17,12 @@ from core.rendering.replay.materials import Materials
 from core.rendering.replay.parts import parts
 from core.rendering.replay.shapes import ENDLESS_M, Floats, Part, Surface, surface_of
 from core.rendering.replay.skins import add_skins
-from core.rendering.scene import View
+from core.rendering.scene import CameraView
 
 _Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # -90 degrees about x; x y z w
 
 
-def scene_bytes(model: mujoco.MjModel, view: View) -> bytes:
+def scene_bytes(model: mujoco.MjModel, view: CameraView) -> bytes:
     """The file. model: as `core.rendering.scene.prepare` left it; view: has the height of a floor."""
     glb = Glb()
     materials = Materials(model, glb)

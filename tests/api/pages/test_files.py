@@ -10,7 +10,7 @@ from api.page_files import page_files
 from gaitway.service.vendoring import (
     ROOT,
     NotAsLocked,
-    Package,
+    NpmPackage,
     VendoredFile,
     bring,
     read_lock,
@@ -39,11 +39,11 @@ def test_every_vendored_file_is_locked_and_every_package_has_its_licence() -> No
 
 
 def test_an_archive_with_another_digest_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fetch(package: Package, folder: object) -> object:
+    def fetch(package: NpmPackage, folder: object) -> object:
         return ROOT / "LICENSE"
 
     monkeypatch.setattr("gaitway.service.vendoring._fetch", fetch)
-    package = Package(name="x", version="1", licence="MIT", integrity="sha512-other", files=[])
+    package = NpmPackage(name="x", version="1", licence="MIT", integrity="sha512-other", files=[])
     with pytest.raises(NotAsLocked, match="x has the digest"):
         bring(package)
 

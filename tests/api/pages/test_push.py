@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from core.algorithms.export.contract import Origin, contract
-from core.algorithms.export.network import Layer, Network
+from core.algorithms.export.contract import PolicyOrigin, contract
+from core.algorithms.export.network import PolicyLayer, PolicyNetwork
 from core.algorithms.export.numpy_file import numpy_file
 from core.environments.mujoco_env import MujocoEnv
 from core.jobs.status import JobStatus
 from core.rendering.replay.replay import replay_of, scene_of
-from core.rendering.timeline import Motion
+from core.rendering.timeline import EpisodeMotion
 from gaitway import exported_policy
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.pages.conftest import MakeTab, Tab
@@ -55,15 +55,17 @@ def policy_of(environment: MujocoEnv, scale: float, trained_steps: int = 1000) -
     random = np.random.default_rng(0)
     sizes = [(environment.observation_size, 16), (16, 2 * environment.action_size)]
     layers = tuple(
-        Layer(
+        PolicyLayer(
             random.normal(0, scale, size).astype(np.float32),
             random.normal(0, scale, size[1]).astype(np.float32),
         )
         for size in sizes
     )
     mean = np.full(environment.observation_size, 0.1, np.float32)
-    network = Network(mean, 2 * np.ones_like(mean), 5.0, layers, "swish", "state", 1)
-    return numpy_file(network, contract(network, Origin("ppo", "body", {}, environment.dt, trained_steps)))
+    network = PolicyNetwork(mean, 2 * np.ones_like(mean), 5.0, layers, "swish", "state", 1)
+    return numpy_file(
+        network, contract(network, PolicyOrigin("ppo", "body", {}, environment.dt, trained_steps))
+    )
 
 
 @cache
@@ -72,7 +74,7 @@ def files(folder: Path | None = None) -> dict[str, tuple[str, bytes]]:
     does nothing."""
     ant = of_the_catalog("ant") if folder is None else of_a_user(folder, QUADRUPED)
     qpos = np.array([ant.initial_qpos, ant.initial_qpos], float)
-    motion = Motion(np.array([0.0, 0.05]), qpos)
+    motion = EpisodeMotion(np.array([0.0, 0.05]), qpos)
     facts = {"num_steps": 1, "duration_s": 0.05, "terminated": False}
     return {
         "scene.glb": ("scene", scene_of(ant.model, qpos[0], ant.tracked_body)),

@@ -10,7 +10,7 @@ from brax.training.types import Transition
 
 from core.algorithms.brax_training import init_normalizer
 from core.algorithms.experience import (
-    Outcome,
+    StepOutcomes,
     collect,
     cut_into_unrolls,
     lost_too_many,
@@ -131,7 +131,7 @@ def test_lengths_and_scores_are_told_of_whole_episodes_only() -> None:
     # action and two; the third began with the run, and its end is the only one of a whole episode.
     ended = jnp.array([[3, 0, 0], [0, 3, 0], [0, 0, 3]])
     ones = jnp.ones((3, 3))
-    outcome = Outcome(ones, ended, ended * 1.0, jnp.where(ended > 0, 1.0, 0.0), 0 * ones, ones, {}, None)
+    outcome = StepOutcomes(ones, ended, ended * 1.0, jnp.where(ended > 0, 1.0, 0.0), 0 * ones, ones, {}, None)
     told = summarise(of_whole_episodes(outcome, jnp.int32(0)))
     assert {name: float(told[name]) for name in ("episodes", "score", "length", "falls")} == {
         **{"episodes": 1.0, "score": 3.0},
@@ -147,7 +147,7 @@ def test_lengths_and_scores_are_told_of_whole_episodes_only() -> None:
 def test_a_run_may_lose_one_body_or_a_hundredth(num_envs: int, lost: int, *, too_many: bool) -> None:
     # Of three steps: one of 12 is more than a hundredth, but it is one. Three of 300 are a hundredth.
     ones = jnp.ones((3, num_envs))
-    outcome = Outcome(
+    outcome = StepOutcomes(
         ones, ones.astype(jnp.int32), ones, ones, (0 * ones).at[1, :lost].set(1.0), ones, {}, None
     )
     assert lost_too_many(outcome).tolist() == [False, too_many, False]

@@ -14,8 +14,8 @@ import numpy as np
 import onnx
 import pytest
 
-from core.algorithms.export.contract import Origin, contract
-from core.algorithms.export.network import Layer, Network, NotExportable, network_of
+from core.algorithms.export.contract import PolicyOrigin, contract
+from core.algorithms.export.network import NotExportable, PolicyLayer, PolicyNetwork, network_of
 from core.algorithms.export.onnx_file import onnx_file
 from core.algorithms.policy_file import read_policy, write_policy
 from core.algorithms.ppo.spec import Activation, PPOSpec
@@ -52,11 +52,11 @@ def settings(algorithm: str = "ppo", **options: Any) -> PPOSpec | SACSpec:
     return SPECS[algorithm].model_validate({"policy_hidden_layer_sizes": [8, 4], **options})
 
 
-def of_one_layer(*, max_abs: float | None = None, action_repeat: int = 1) -> Network:
+def of_one_layer(*, max_abs: float | None = None, action_repeat: int = 1) -> PolicyNetwork:
     """(o − 1) / 2 is seen; the location is a quarter of that and 0.3, the scale is always 0."""
-    layer = Layer(np.array([[0.25, 0.0]], np.float32), np.array([0.3, 0.0], np.float32))
+    layer = PolicyLayer(np.array([[0.25, 0.0]], np.float32), np.array([0.3, 0.0], np.float32))
     one, two = np.array([1.0], np.float32), np.array([2.0], np.float32)
-    return Network(one, two, max_abs, (layer,), "relu", "state", action_repeat)
+    return PolicyNetwork(one, two, max_abs, (layer,), "relu", "state", action_repeat)
 
 
 @pytest.mark.parametrize("activation", get_args(Activation))
@@ -116,7 +116,7 @@ def test_a_single_observation_and_any_batch_are_taken() -> None:
 
 def test_the_contract_is_in_both_files() -> None:
     parts = [{"name": "height", "start": 0, "size": 1, "unit": "m"}]
-    origin = Origin("sac", "ant", {"a": 1}, step_s=0.05, trained_steps=7, observation_parts=parts)
+    origin = PolicyOrigin("sac", "ant", {"a": 1}, step_s=0.05, trained_steps=7, observation_parts=parts)
     network = of_one_layer(max_abs=2.0, action_repeat=3)
     for_numpy, for_onnx = files(network, origin)
     about = exported_policy.load(io.BytesIO(for_numpy)).about
@@ -202,8 +202,8 @@ def test_a_network_with_other_parts_is_refused() -> None:
 def test_a_network_that_no_onnx_file_holds_is_refused() -> None:
     # 4 · 25,000² bytes = 2.5 GB, which one number in memory stands for.
     kernel = np.broadcast_to(np.float32(0), (25_000, 25_000))
-    layer = Layer(kernel, np.zeros(25_000, np.float32))
+    layer = PolicyLayer(kernel, np.zeros(25_000, np.float32))
     zeros = np.zeros(25_000, np.float32)
-    network = Network(zeros, zeros, None, (layer,), "relu", "state", 1)
+    network = PolicyNetwork(zeros, zeros, None, (layer,), "relu", "state", 1)
     with pytest.raises(NotExportable, match="an ONNX file holds 2 GiB"):
         onnx_file(network, {})

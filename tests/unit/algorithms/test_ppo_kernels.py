@@ -11,7 +11,7 @@ from core.algorithms.brax_training import Transition, init_normalizer
 from core.algorithms.brax_training import networks as brax_networks
 from core.algorithms.ppo.kernels import layout
 from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Chosen, gradient
-from core.algorithms.ppo.kernels.layout import Layout, Sizes, rounded_up
+from core.algorithms.ppo.kernels.layout import KernelLayout, KernelSizes, rounded_up
 from core.algorithms.ppo.kernels.learn import _flattened, learn
 from core.algorithms.ppo.learner import Learner, TrainingState
 from core.algorithms.ppo.loss import ADAM, Hyperparameters, loss_of
@@ -100,12 +100,14 @@ def compare_with_brax(
     minibatch = jax.tree.map(lambda x: x[second], batch)
     expected, metrics = jax.grad(loss, has_aux=True)(params, minibatch, key)
 
-    layout = Layout.of(OBS, ACT, spec.policy_hidden_layer_sizes, spec.value_hidden_layer_sizes)
+    layout = KernelLayout.of(OBS, ACT, spec.policy_hidden_layer_sizes, spec.value_hidden_layer_sizes)
     # Brax's loss draws its noise in this shape, by this key.
     drawn = jax.random.normal(key, (spec.unroll_length, 32, ACT)).swapaxes(0, 1)
     noise = jnp.zeros((64, spec.unroll_length, rounded_up(ACT))).at[second, :, :ACT].set(drawn)
     hyper = jnp.stack([getattr(hyperparameters, name) for name in HYPERPARAMETERS])
-    sizes = Sizes(layout, brax_networks.ACTIVATION[activation], ACT, spec.unroll_length, 32, interpret=True)
+    sizes = KernelSizes(
+        layout, brax_networks.ACTIVATION[activation], ACT, spec.unroll_length, 32, interpret=True
+    )
     chosen = Chosen(order, jnp.array([1], jnp.int32), noise)
     found, parts = gradient(sizes, layout.pack(params), _flattened(batch), chosen, hyper)
 
@@ -187,7 +189,7 @@ def test_triton_takes_the_kernels_of_several_seeds() -> None:
 def test_packed_parameters_come_back_and_the_padding_is_zero() -> None:
     spec = settings()
     _, params, _ = networks_and_batch(spec)
-    layout = Layout.of(OBS, ACT, spec.policy_hidden_layer_sizes, spec.value_hidden_layer_sizes)
+    layout = KernelLayout.of(OBS, ACT, spec.policy_hidden_layer_sizes, spec.value_hidden_layer_sizes)
     packed = layout.pack(params)
     # Rounded to 16 or 32: policy 16·16 + 16, 16·32 + 32, twice 32·16 + 16; value 16·16 + 16, 16·16 + 16.
     assert packed.shape == (layout.size,) == (272 + 544 + 2 * 528 + 2 * 272,)

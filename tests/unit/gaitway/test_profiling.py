@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from core.algorithms.events import Evaluated, Phase, Progress
+from core.algorithms.events import Evaluated, Phase, TrainingProgress
 from core.algorithms.profiling import UpdateTimes
 from gaitway.cli.main import app
 from gaitway.service.profiling import Times, table
@@ -25,9 +25,9 @@ def seen() -> Times:
         Phase("compile", 1.5),
         Evaluated(0, {"eval/epoch_eval_time": 9.0}),
         Phase("first_update", 4.0),
-        Progress(100, 1000, {"training/walltime": 4.0}),
-        Progress(300, 1000, {"training/walltime": 8.5}),
-        Progress(400, 1000, {"training/walltime": 10.0}),
+        TrainingProgress(100, 1000, {"training/walltime": 4.0}),
+        TrainingProgress(300, 1000, {"training/walltime": 8.5}),
+        TrainingProgress(400, 1000, {"training/walltime": 10.0}),
     ):
         times.see(event, STEPS_PER_UPDATE)
     times.evaluation, times.total = 3.0, 20.0

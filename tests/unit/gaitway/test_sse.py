@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gaitway.views import Lines, ServerSentEvent, Stream
+from gaitway.views import LineReader, ServerSentEvent, Stream
 
 
 def parse(lines: list[str], last_id: str = "") -> list[ServerSentEvent]:
@@ -9,7 +9,7 @@ def parse(lines: list[str], last_id: str = "") -> list[ServerSentEvent]:
 
 
 def lines(chunks: list[bytes]) -> list[str]:
-    reader = Lines()
+    reader = LineReader()
     return [line for chunk in chunks for line in reader.take(chunk)]
 
 

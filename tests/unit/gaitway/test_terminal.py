@@ -19,7 +19,7 @@ from gaitway.errors import GaitwayError
 # Clears the screen, sets the title, writes the clipboard, in both forms; overrides the direction; returns.
 HOSTILE = "a\x1b[2J\x1b]0;title\x07\x9b2J\x9d52;c;aGk=\x9c\u202eb\u2066\r\x08\x7f\u0000ü→ \t end"
 SHOWN = re.compile("[^\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]*")
-app = typer.Typer(cls=common.Group)
+app = typer.Typer(cls=common.CommandGroup)
 
 
 @app.command("print")

@@ -8,12 +8,12 @@ import mujoco
 import pytest
 
 from core.physics.choose import engine_builder
-from core.physics.trial import Reference, compare, record
+from core.physics.trial import ReferenceMotion, compare, record
 from tests.contract.test_engines import BODY, DELAYED
 from tests.unit.worker.validation.test_validation import CAR
 
 
-def recorded(model: mujoco.MjModel) -> Reference:
+def recorded(model: mujoco.MjModel) -> ReferenceMotion:
     reference = record(model)
     assert reference is not None
     assert reference.num_tries == 50

@@ -6,7 +6,7 @@ import pytest
 
 from core.physics.model import brax_model
 from core.rendering import floor
-from core.rendering.scene import Quality, View, following_view, prepare
+from core.rendering.scene import CameraView, Quality, following_view, prepare
 
 # An arm that turns about a horizontal axis at 2 m; its tip is 0.5 + 0.1 m away from there.
 ARM = """<mujoco><worldbody>{world}
@@ -15,7 +15,7 @@ ARM = """<mujoco><worldbody>{world}
 HINGE = '<joint axis="0 1 0"/>'
 
 
-def view_of(model: mujoco.MjModel, body: str) -> View:
+def view_of(model: mujoco.MjModel, body: str) -> CameraView:
     return following_view(model, model.qpos0, model.body(body).id)
 
 

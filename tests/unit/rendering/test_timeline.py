@@ -2,7 +2,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.rendering.timeline import Motion, interpolate, shots, smoothed
+from core.rendering.timeline import EpisodeMotion, interpolate, shots, smoothed
 
 FREE_BODY = """
 <mujoco><worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>
@@ -14,10 +14,10 @@ def model() -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(FREE_BODY)
 
 
-def motion(*x: float, dt: float = 0.5) -> Motion:
+def motion(*x: float, dt: float = 0.5) -> EpisodeMotion:
     qpos = np.zeros((len(x), 7))
     qpos[:, 0], qpos[:, 3] = x, 1.0
-    return Motion(dt * np.arange(len(x)), qpos)
+    return EpisodeMotion(dt * np.arange(len(x)), qpos)
 
 
 def test_frames_are_spread_over_the_real_time_of_the_episode(model: mujoco.MjModel) -> None:
@@ -49,7 +49,7 @@ def test_rotations_take_the_shortest_arc(model: mujoco.MjModel) -> None:
     qpos = np.zeros((2, 7))
     qpos[0, 3] = 1.0
     qpos[1, 3:] = [-np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)]
-    half_way = interpolate(model, Motion(np.array([0.0, 1.0]), qpos), np.array([0.5]))
+    half_way = interpolate(model, EpisodeMotion(np.array([0.0, 1.0]), qpos), np.array([0.5]))
     np.testing.assert_allclose(half_way[0, 3:], [np.cos(np.pi / 8), 0.0, 0.0, np.sin(np.pi / 8)], atol=1e-12)
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from core.sweeps.advance import Cancel, End, Prune, Start, advance
+from core.sweeps.advance import CancelTrial, EndSweep, PruneTrial, StartTrial, advance
 from core.sweeps.axes import Values
 from core.sweeps.sweep import SeenTrial, SweepStatus
 from tests.unit.sweeps.making import spec_of, sweep_of, trial_of
@@ -21,26 +21,26 @@ def ended(number: int, value: float = 1.0, **said: Any) -> SeenTrial:
 def test_a_grid_starts_its_combinations_in_order_and_as_many_as_may_run() -> None:
     sweep = sweep_of(parameters={"seed": [1, 2], "algorithm.num_envs": [64, 128]}, budget={"parallel": 3})
     assert advance(sweep, [], thousand) == [
-        Start(0, {"seed": 1, "algorithm.num_envs": 64}, 1000),
-        Start(1, {"seed": 1, "algorithm.num_envs": 128}, 1000),
-        Start(2, {"seed": 2, "algorithm.num_envs": 64}, 1000),
+        StartTrial(0, {"seed": 1, "algorithm.num_envs": 64}, 1000),
+        StartTrial(1, {"seed": 1, "algorithm.num_envs": 128}, 1000),
+        StartTrial(2, {"seed": 2, "algorithm.num_envs": 64}, 1000),
     ]
     running = [SeenTrial(trial_of(0)), SeenTrial(trial_of(1)), ended(2)]
-    assert advance(sweep, running, thousand) == [Start(3, {"seed": 2, "algorithm.num_envs": 128}, 1000)]
+    assert advance(sweep, running, thousand) == [StartTrial(3, {"seed": 2, "algorithm.num_envs": 128}, 1000)]
 
 
 def test_a_grid_ends_when_every_combination_has_ended_however_it_did() -> None:
     sweep = sweep_of()
     assert advance(sweep, [ended(0), SeenTrial(trial_of(1))], thousand) == []
     [end] = advance(sweep, [ended(0), SeenTrial(trial_of(1, outcome="failed"))], thousand)
-    assert end == End(SweepStatus.SUCCEEDED, "Every combination was tried: 1 succeeded, 1 failed.")
+    assert end == EndSweep(SweepStatus.SUCCEEDED, "Every combination was tried: 1 succeeded, 1 failed.")
 
 
 @pytest.mark.parametrize("outcome", ["failed", "cancelled", "refused", "deleted", "pruned"])
 def test_a_trial_that_did_not_succeed_counts_and_the_next_one_starts(outcome: str) -> None:
     sweep = sweep_of(method="random", budget={"jobs": 2, "parallel": 1})
     [start] = advance(sweep, [SeenTrial(trial_of(0, outcome=outcome))], thousand)
-    assert isinstance(start, Start)
+    assert isinstance(start, StartTrial)
     assert start.number == 1
 
 
@@ -48,12 +48,12 @@ def test_steps_are_promised_to_trials_before_they_are_taken() -> None:
     # 3,500 steps: three trials of 1,000 fit, a fourth does not while all three may take their steps.
     sweep = sweep_of(method="random", budget={"steps": 3500, "parallel": 10})
     starts = advance(sweep, [], thousand)
-    assert [start.number for start in starts if isinstance(start, Start)] == [0, 1, 2]
+    assert [start.number for start in starts if isinstance(start, StartTrial)] == [0, 1, 2]
     # The third was pruned after 400 steps: 1,000 + 1,000 + 400 + 1,000 = 3,400 fit.
     seen = [ended(0), ended(1), SeenTrial(trial_of(2, outcome="pruned", steps=400))]
-    assert [start.number for start in advance(sweep, seen, thousand) if isinstance(start, Start)] == [3]
+    assert [start.number for start in advance(sweep, seen, thousand) if isinstance(start, StartTrial)] == [3]
     [end] = advance(sweep, [*seen, ended(3)], thousand)
-    assert isinstance(end, End)
+    assert isinstance(end, EndSweep)
     assert end.message == "Its budget of steps is used: 3 succeeded, 1 pruned."
 
 
@@ -72,15 +72,15 @@ def test_no_trial_starts_once_the_gpu_hours_are_spent() -> None:
 def test_a_cancelled_sweep_cancels_what_runs_and_ends_after_it() -> None:
     sweep = sweep_of().next(status=SweepStatus.CANCELLING)
     running = trial_of(1)
-    assert advance(sweep, [ended(0), SeenTrial(running)], thousand) == [Cancel(running)]
+    assert advance(sweep, [ended(0), SeenTrial(running)], thousand) == [CancelTrial(running)]
     [end] = advance(sweep, [ended(0), SeenTrial(trial_of(1, outcome="cancelled"))], thousand)
-    assert end == End(SweepStatus.CANCELLED, "It was cancelled: 1 succeeded, 1 cancelled.")
+    assert end == EndSweep(SweepStatus.CANCELLED, "It was cancelled: 1 succeeded, 1 cancelled.")
 
 
 def test_a_pruned_trial_is_cancelled_again_until_its_job_has_ended() -> None:
     sweep = sweep_of(budget={"parallel": 1})
     pruned = trial_of(0, is_pruned=True)
-    assert advance(sweep, [SeenTrial(pruned)], thousand) == [Cancel(pruned)]
+    assert advance(sweep, [SeenTrial(pruned)], thousand) == [CancelTrial(pruned)]
 
 
 def test_the_worse_half_is_pruned_and_its_place_is_taken() -> None:
@@ -91,7 +91,7 @@ def test_the_worse_half_is_pruned_and_its_place_is_taken() -> None:
     others = [SeenTrial(ended(number).trial, curve) for number, curve in enumerate(curves)]
     # At step 10 the median of 1 and 3 is 2.
     bad, good = SeenTrial(trial_of(2), {10: 1.5}), SeenTrial(trial_of(3), {10: 2.5})
-    assert advance(sweep, [*others, bad, good], thousand) == [Prune(bad.trial)]
+    assert advance(sweep, [*others, bad, good], thousand) == [PruneTrial(bad.trial)]
     minimizing = sweep.model_copy(
         update={
             "spec": sweep.spec.model_copy(
@@ -103,7 +103,7 @@ def test_the_worse_half_is_pruned_and_its_place_is_taken() -> None:
             )
         }
     )
-    assert advance(minimizing, [*others, bad, good], thousand) == [Prune(good.trial)]
+    assert advance(minimizing, [*others, bad, good], thousand) == [PruneTrial(good.trial)]
 
 
 def test_the_same_records_give_the_same_decisions() -> None:
@@ -115,7 +115,7 @@ def test_the_same_records_give_the_same_decisions() -> None:
         for number in range(14):
             first = advance(sweep, seen, thousand)
             assert advance(sweep, seen, thousand) == first
-            assert isinstance(first[0], Start)
+            assert isinstance(first[0], StartTrial)
             values = first[0].parameters
             seen.append(ended(number, float(number), parameters=values))
         drawn = [one.trial.parameters["algorithm.learning_rate"] for one in seen]

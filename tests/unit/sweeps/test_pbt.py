@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from core.sweeps.advance import End, Start, advance, why_no_more
+from core.sweeps.advance import EndSweep, StartTrial, advance, why_no_more
 from core.sweeps.axes import Values, neighbours, scaled
 from core.sweeps.pbt import generations
 from core.sweeps.spec import Population, Range
@@ -40,10 +40,10 @@ def ended(number: int, value: float | None, **said: Any) -> SeenTrial:
     return SeenTrial(trial_of(number, **{**facts, **said}))
 
 
-def starts(sweep: Sweep, seen: list[SeenTrial]) -> list[Start]:
+def starts(sweep: Sweep, seen: list[SeenTrial]) -> list[StartTrial]:
     found = advance(sweep, seen, steps_of)
-    assert all(isinstance(one, Start) for one in found)
-    return [one for one in found if isinstance(one, Start)]
+    assert all(isinstance(one, StartTrial) for one in found)
+    return [one for one in found if isinstance(one, StartTrial)]
 
 
 def test_the_first_generation_is_drawn_at_random_and_trains_the_first_part() -> None:
@@ -140,7 +140,7 @@ def test_a_lineage_adds_its_steps_up_to_the_whole_budget() -> None:
     assert last[0].settings["algorithm.num_timesteps"] == 1000
     seen += [ended(n, float(n)) for n in range(8, 12)]
     [end] = advance(pbt_sweep(), seen, steps_of)
-    assert end == End(SweepStatus.SUCCEEDED, "Every generation was trained: 12 succeeded.")
+    assert end == EndSweep(SweepStatus.SUCCEEDED, "Every generation was trained: 12 succeeded.")
 
 
 def test_budgets_hold_within_a_generation() -> None:
@@ -156,7 +156,7 @@ def test_a_population_of_which_none_is_left_fails_in_a_sentence() -> None:
     seen = [ended(0, None, outcome="failed"), *(ended(number, None) for number in (1, 2, 3))]
     [end] = advance(pbt_sweep(), seen, steps_of)
     sentence = "No trial of generation 0 has a value and a job to resume from: 1 failed, 3 succeeded."
-    assert end == End(SweepStatus.FAILED, sentence)
+    assert end == EndSweep(SweepStatus.FAILED, sentence)
     # Jobs may be deleted while a generation begins: what runs is waited for.
     assert advance(pbt_sweep(), [*seen, SeenTrial(trial_of(4))], steps_of) == []
 
@@ -196,7 +196,7 @@ def test_a_last_generation_that_was_cancelled_begins_again() -> None:
     assert population is not None
     assert generations(population, [one.trial for one in seen]) == [0] * 4 + [1] * 4 + [2] * 8
     [end] = advance(pbt_sweep(), seen, steps_of)
-    assert end == End(
+    assert end == EndSweep(
         SweepStatus.SUCCEEDED, "Every generation was trained: 12 succeeded, 3 cancelled, 1 failed."
     )
 

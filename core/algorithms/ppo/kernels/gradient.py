@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plgpu
 
-from core.algorithms.ppo.kernels.layout import Layer, Sizes, rounded_up
+from core.algorithms.ppo.kernels.layout import KernelLayer, KernelSizes, rounded_up
 
 _MIN_STD = 0.001  # Brax's NormalTanhDistribution
 _LOG_2, _HALF_LOG_2_PI = 0.6931471805599453, 0.9189385332046727
@@ -37,7 +37,7 @@ class Tile(NamedTuple):
 
 
 def policy_loss(
-    sizes: Sizes, tile: Tile, costs: tuple[jax.Array, jax.Array], weights: Any
+    sizes: KernelSizes, tile: Tile, costs: tuple[jax.Array, jax.Array], weights: Any
 ) -> tuple[jax.Array, tuple[jax.Array, ...]]:
     """A tile's share of the policy's loss with its entropy; the sums and largest values for the metrics.
 
@@ -70,21 +70,21 @@ def policy_loss(
     return loss, jax.lax.stop_gradient((*sums, *largest))
 
 
-def _hidden(sizes: Sizes, weights: Any, seen: jax.Array) -> jax.Array:
+def _hidden(sizes: KernelSizes, weights: Any, seen: jax.Array) -> jax.Array:
     h = seen
     for kernel, bias in weights:
         h = sizes.activation(jnp.dot(h, kernel) + bias[None, :])
     return h
 
 
-def value(sizes: Sizes, weights: Any, seen: jax.Array) -> jax.Array:
+def value(sizes: KernelSizes, weights: Any, seen: jax.Array) -> jax.Array:
     """[rows]. The last layer is padded to 16 columns, of which the first is the value."""
     *hidden, (kernel, bias) = weights
     out = jnp.dot(_hidden(sizes, hidden, seen), kernel) + bias[None, :]
     return jnp.sum(jnp.where(jnp.arange(out.shape[1])[None, :] == 0, out, 0.0), axis=1)
 
 
-def across(sizes: Sizes) -> jax.Array:
+def across(sizes: KernelSizes) -> jax.Array:
     return jnp.arange(rounded_up(sizes.action_size))[None, :]
 
 
@@ -147,7 +147,7 @@ class Chosen(NamedTuple):
 
 
 def gradient(
-    sizes: Sizes, params: jax.Array, batch: Batch, chosen: Chosen, hyper: jax.Array
+    sizes: KernelSizes, params: jax.Array, batch: Batch, chosen: Chosen, hyper: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """The loss's gradient [P] by the packed parameters [P], and the loss's parts [11], see METRICS.
 
@@ -167,8 +167,8 @@ def gradient(
 
 
 def _call(
-    kernel: Callable[[Sizes, Any], None],
-    sizes: Sizes,
+    kernel: Callable[[KernelSizes, Any], None],
+    sizes: KernelSizes,
     grid: tuple[int, ...],
     given: Mapping[str, jax.Array],
     lengths: Mapping[str, int],
@@ -190,14 +190,14 @@ def _call(
     return dict(zip(lengths, call(*given.values()), strict=True))
 
 
-def _values(sizes: Sizes, refs: Any) -> None:
+def _values(sizes: KernelSizes, refs: Any) -> None:
     """The values [T + 1, B] of every observation."""
     time, unrolls, at = _tile(sizes, refs, pl.program_id(0))
     seen = _observed(sizes, refs, unrolls, time)
     refs.values[at] = value(sizes, _weights(refs, sizes.layout.value), seen)
 
 
-def _advantages(sizes: Sizes, refs: Any) -> None:
+def _advantages(sizes: KernelSizes, refs: Any) -> None:
     """Generalised advantages [T, B], and the returns [T, B] that values are to have.
 
     Source: Schulman et al., High-Dimensional Continuous Control Using Generalised Advantage Estimation
@@ -237,7 +237,7 @@ def _advantages(sizes: Sizes, refs: Any) -> None:
     refs.sums[2 * block + 1] = jnp.sum(squares + sizes.unroll_length * away * away)
 
 
-def _gradients(sizes: Sizes, refs: Any) -> None:
+def _gradients(sizes: KernelSizes, refs: Any) -> None:
     """The contribution of each tile to the gradient [tiles, P] and to the metrics [tiles, 16].
 
     Half of the blocks differentiate the policy's loss, and half that of the value network.
@@ -247,7 +247,7 @@ def _gradients(sizes: Sizes, refs: Any) -> None:
     seen = _observed(sizes, refs, unrolls, time)
     layers, told = sizes.layout, number * _TOLD_BY_A_TILE
 
-    def store(of_layers: Sequence[Layer], found: Any) -> None:
+    def store(of_layers: Sequence[KernelLayer], found: Any) -> None:
         for layer, (kernel, bias) in zip(of_layers, found, strict=True):
             start = number * layers.size
             refs.gradients[start + layer.start + _places(layer)] = kernel
@@ -285,7 +285,7 @@ def _gradients(sizes: Sizes, refs: Any) -> None:
         refs.metrics[told] = part
 
 
-def _named(sizes: Sizes, of_tiles: jax.Array, hyper: jax.Array) -> jax.Array:
+def _named(sizes: KernelSizes, of_tiles: jax.Array, hyper: jax.Array) -> jax.Array:
     """[11], see METRICS. of_tiles: [tiles, 16]."""
     sums = jnp.sum(of_tiles[:, :_NUM_SUMS], axis=0)
     largest = jnp.max(of_tiles[:, _NUM_SUMS : _NUM_SUMS + _NUM_LARGEST], axis=0)
@@ -298,20 +298,20 @@ def _named(sizes: Sizes, of_tiles: jax.Array, hyper: jax.Array) -> jax.Array:
     return jnp.concatenate([total, policy_loss, v_loss, entropy_loss, kl, std, loc, signed])
 
 
-def _tile(sizes: Sizes, refs: Any, number: Any) -> tuple[Any, Any, Any]:
+def _tile(sizes: KernelSizes, refs: Any, number: Any) -> tuple[Any, Any, Any]:
     """A tile's time, its unrolls [rows], and where its samples lie in arrays [T, B]."""
     time = number // sizes.num_blocks
     columns = (number % sizes.num_blocks) * sizes.rows + jnp.arange(sizes.rows)
     return time, refs.order[refs.which[0] * sizes.batch_size + columns], time * sizes.batch_size + columns
 
 
-def _observed(sizes: Sizes, refs: Any, unrolls: Any, time: Any) -> jax.Array:
+def _observed(sizes: KernelSizes, refs: Any, unrolls: Any, time: Any) -> jax.Array:
     width = sizes.layout.value[0].rows
     rows = unrolls * (sizes.unroll_length + 1) + time
     return refs.observation[rows[:, None] * width + jnp.arange(width)[None, :]]
 
 
-def _weights(refs: Any, layers: Sequence[Layer]) -> list[tuple[jax.Array, jax.Array]]:
+def _weights(refs: Any, layers: Sequence[KernelLayer]) -> list[tuple[jax.Array, jax.Array]]:
     """Kernels and biases of a network."""
     return [
         (refs.params[layer.start + _places(layer)], refs.params[layer.bias + jnp.arange(layer.columns)])
@@ -319,11 +319,11 @@ def _weights(refs: Any, layers: Sequence[Layer]) -> list[tuple[jax.Array, jax.Ar
     ]
 
 
-def _places(layer: Layer) -> jax.Array:
+def _places(layer: KernelLayer) -> jax.Array:
     return jnp.arange(layer.rows)[:, None] * layer.columns + jnp.arange(layer.columns)[None, :]
 
 
-def _normalised(sizes: Sizes, advantage: jax.Array, sums: Any) -> jax.Array:
+def _normalised(sizes: KernelSizes, advantage: jax.Array, sums: Any) -> jax.Array:
     """Mean 0 and deviation 1 over the minibatch."""
     means = [sums[2 * block] for block in range(sizes.num_blocks)]
     mean = sum(means, jnp.float32(0)) / sizes.num_blocks

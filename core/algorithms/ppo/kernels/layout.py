@@ -26,7 +26,7 @@ def rounded_up(size: int) -> int:
 
 
 @dataclass(frozen=True)
-class Layer:
+class KernelLayer:
     """Columns from `first` on of a flax layer. Its kernel begins at `start`, and its bias follows."""
 
     network: str
@@ -55,21 +55,21 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Layout:
+class KernelLayout:
     """policy: hidden layers, then the one of the means, then the one of the deviations. value: hidden layers,
     then one with a single output."""
 
-    policy: tuple[Layer, ...]
-    value: tuple[Layer, ...]
+    policy: tuple[KernelLayer, ...]
+    value: tuple[KernelLayer, ...]
 
     @classmethod
     def of(
         cls, observation_size: int, action_size: int, policy: Sequence[int], value: Sequence[int]
-    ) -> "Layout":
+    ) -> "KernelLayout":
         """policy, value: sizes of the hidden layers."""
         of_policy = _layers("policy", observation_size, [*policy, action_size], 0)
         means = of_policy[-1]
-        deviations = Layer(means.network, means.name, action_size, means.inputs, action_size, means.end)
+        deviations = KernelLayer(means.network, means.name, action_size, means.inputs, action_size, means.end)
         of_policy = [*of_policy, deviations]
         return cls(tuple(of_policy), tuple(_layers("value", observation_size, [*value, 1], deviations.end)))
 
@@ -106,10 +106,10 @@ class Layout:
         return type(like)(**networks)
 
 
-def _layers(network: str, inputs: int, sizes: Sequence[int], start: int) -> list[Layer]:
-    found = list[Layer]()
+def _layers(network: str, inputs: int, sizes: Sequence[int], start: int) -> list[KernelLayer]:
+    found = list[KernelLayer]()
     for index, outputs in enumerate(sizes):
-        found.append(Layer(network, f"hidden_{index}", 0, inputs, outputs, start))
+        found.append(KernelLayer(network, f"hidden_{index}", 0, inputs, outputs, start))
         inputs, start = outputs, found[-1].end
     return found
 
@@ -119,10 +119,10 @@ def _joined(parts: Sequence[Mapping[str, jax.Array]]) -> dict[str, jax.Array]:
 
 
 @dataclass(frozen=True)
-class Sizes:
+class KernelSizes:
     """unroll_length: T. batch_size: B, unrolls of a minibatch. interpret: without a GPU."""
 
-    layout: Layout
+    layout: KernelLayout
     activation: Callable[[jax.Array], jax.Array]
     action_size: int
     unroll_length: int

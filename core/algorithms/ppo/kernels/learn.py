@@ -9,7 +9,7 @@ import optax
 from core.algorithms.brax_training import PPONetworkParams, Transition
 from core.algorithms.brax_training import networks as brax_networks
 from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Batch, Chosen, gradient
-from core.algorithms.ppo.kernels.layout import Layout, Sizes, rounded_up
+from core.algorithms.ppo.kernels.layout import KernelLayout, KernelSizes, rounded_up
 from core.algorithms.ppo.loss import Hyperparameters, clipped, descend
 from core.algorithms.ppo.spec import PPOSpec
 
@@ -60,12 +60,12 @@ def learn(
     return unpacked, dict(zip((*METRICS, "grad_norm"), means, strict=True))
 
 
-def _sizes(settings: PPOSpec, batch: Transition, *, interpret: bool) -> Sizes:
+def _sizes(settings: PPOSpec, batch: Transition, *, interpret: bool) -> KernelSizes:
     extras: Any = batch.extras
     action_size = extras["policy_extras"]["raw_action"].shape[-1]
     hidden = settings.policy_hidden_layer_sizes, settings.value_hidden_layer_sizes
-    return Sizes(
-        Layout.of(batch.observation.shape[-1], action_size, *hidden),
+    return KernelSizes(
+        KernelLayout.of(batch.observation.shape[-1], action_size, *hidden),
         cast("Any", brax_networks.ACTIVATION[settings.activation]),
         action_size,
         settings.unroll_length,

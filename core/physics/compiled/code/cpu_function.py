@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from core.physics.compiled.code.arrays import array_sizes
-from core.physics.compiled.code.long_writer import Frame, write_code
+from core.physics.compiled.code.long_writer import FunctionFrame, write_code
 from core.physics.compiled.code.writer import Target, Writer
 from core.physics.compiled.program.program import Program
 
@@ -12,7 +12,7 @@ _WHOLE = "A vector's lanes are environments: the program must be a whole body's.
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _CpuRows:
     """Arrays [environments, size]; lanes without an environment are neither read nor written."""
 
     sizes: Mapping[str, int]
@@ -65,8 +65,8 @@ def cpu_function(program: Program, name: str, width: int, section_size: int | No
         f"  %environments = add {lanes} %all, <{order}>",
         f"  %exists = icmp slt {lanes} %environments, %limit",
     ]
-    frame = Frame(f"ptr %slots, i64 %begin, i64 %end, {arrays}", environments, slots="ptr")
-    code = write_code(program, Writer(target, _Rows(sizes), block="group"), frame, section_size)
+    frame = FunctionFrame(f"ptr %slots, i64 %begin, i64 %end, {arrays}", environments, slots="ptr")
+    code = write_code(program, Writer(target, _CpuRows(sizes), block="group"), frame, section_size)
     return "\n".join(
         [
             *target.declarations(),
@@ -94,7 +94,7 @@ def cpu_function(program: Program, name: str, width: int, section_size: int | No
 
 
 def _declarations(target: Target) -> list[str]:
-    """LLVM's declarations of the functions that `_Rows` calls."""
+    """LLVM's declarations of the functions that `_CpuRows` calls."""
     pointers, kind = target.of("ptr"), f"v{target.width}f32.v{target.width}p0"
     return [
         f"declare {target.number} @llvm.masked.gather.{kind}"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from core.physics.compiled.code.arrays import array_sizes
-from core.physics.compiled.code.long_writer import Frame, write_code
+from core.physics.compiled.code.long_writer import FunctionFrame, write_code
 from core.physics.compiled.code.steps import num_operations
 from core.physics.compiled.code.writer import Barrier, Target, Writer
 from core.physics.compiled.program.program import Program
@@ -34,7 +34,7 @@ _SHUFFLE = "llvm.nvvm.shfl.sync.bfly.f32"
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _GpuRows:
     """Arrays [environments, size] in the card's memory.
 
     num_threads: threads per environment; those beyond `num_lanes` repeat lane 0. places,
@@ -125,10 +125,10 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
     `threads_of` the program's lanes. section_size: see `write_code`.
     """
     sizes, lanes, threads = array_sizes(program), program.num_lanes, threads_of(program.num_lanes)
-    rows = _Rows(sizes, lanes, threads)
+    rows = _GpuRows(sizes, lanes, threads)
     arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in ("count", *sizes))
     environment = _environment(lanes, threads)
-    frame = Frame(f"{_LOCAL} %slots, {arrays}", environment, slots=_LOCAL)
+    frame = FunctionFrame(f"{_LOCAL} %slots, {arrays}", environment, slots=_LOCAL)
     warps = most_warps(program, section_size)
     writer = Writer(_TOGETHER if warps > 1 else _ALONE, rows, block="body")
     code = write_code(program, writer, frame, section_size)

@@ -21,7 +21,7 @@ _LONG = 30_000
 
 
 @dataclass(frozen=True)
-class Frame:
+class FunctionFrame:
     """How functions of sections look on a kind of processor. parameters: in LLVM's words; %slots is the
     first. begin: the lines that each begins with. slots: the type of a pointer to the slots."""
 
@@ -45,7 +45,7 @@ def is_long(program: Program) -> bool:
     return num_operations(program.statements) > _LONG
 
 
-def write_code(program: Program, main: Writer, frame: Frame, section_size: int | None) -> Code:
+def write_code(program: Program, main: Writer, frame: FunctionFrame, section_size: int | None) -> Code:
     """The program in sections of this many operations; None: in one piece."""
     if section_size is None:
         main.write(with_outputs(program))
@@ -60,7 +60,7 @@ def write_code(program: Program, main: Writer, frame: Frame, section_size: int |
 class _LongWriter:
     """functions: those of the sections, by lines. main: the body of the function that calls them."""
 
-    frame: Frame
+    frame: FunctionFrame
     program: SlottedProgram
     main: Writer
     slots: "Slots"

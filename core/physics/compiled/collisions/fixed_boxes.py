@@ -13,7 +13,7 @@ import mujoco
 
 from core.physics.compiled.collisions.own_boxes import OwnBoxes
 from core.physics.compiled.collisions.shapes import Geom, Placed
-from core.physics.compiled.constraints.pairs import Pair, Parameters
+from core.physics.compiled.constraints.pairs import ContactParameters, Pair
 from core.physics.compiled.program.arithmetic import (
     Matrix,
     Number,
@@ -39,7 +39,7 @@ class Choice:
     """
 
     numbers: tuple[int, ...]
-    parameters: tuple[Parameters, ...]
+    parameters: tuple[ContactParameters, ...]
     rotation: Matrix
     centres: tuple[Vector, ...]
     sizes: tuple[Vector, ...]
@@ -53,7 +53,7 @@ Shape = Geom | Choice
 
 
 def merged(
-    pairs: Sequence[Pair], nominal: Sequence[Parameters], geoms: Sequence[Geom], own: OwnBoxes | None
+    pairs: Sequence[Pair], nominal: Sequence[ContactParameters], geoms: Sequence[Geom], own: OwnBoxes | None
 ) -> list[tuple[Pair, Shape]]:
     """The pairs, each with its second geom; pairs of one geom with fixed boxes as few choices.
 
@@ -95,7 +95,7 @@ def chosen_box(choice: Choice, is_near: Vector) -> Placed:
     return Placed(rotate(choice.rotation, position), _TURNED, choice.rotation, size)
 
 
-def chosen_parameters(choice: Choice, is_near: Vector) -> Parameters:
+def chosen_parameters(choice: Choice, is_near: Vector) -> ContactParameters:
     """The parameters of the contact with the box that a geom is near."""
     springs = [one.spring for one in choice.parameters]
     spring = replace(

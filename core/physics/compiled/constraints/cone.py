@@ -86,13 +86,13 @@ class Cone:
     def _unit_stiffness(self) -> Number:
         return self.stiffness * (1.0 / squared(self.slope_of_cone))
 
-    def _place(self, residual: Vector) -> "_Place":
+    def _place(self, residual: Vector) -> "_ConePlace":
         normal, *across = [scale * x for scale, x in zip(self._scales, residual, strict=True)]
         return _place(self.slope_of_cone, normal, across)
 
 
 @dataclass(frozen=True)
-class _Place:
+class _ConePlace:
     """Where a residual is, in units in which all directions have the same stiffness, of 1 here.
 
     across: all but the normal. pressed: from the nearest residual that costs nothing to this one; share: of
@@ -108,7 +108,7 @@ class _Place:
     bend_around: Number
 
 
-def _place(slope: Number, normal: Number, across: Vector) -> _Place:
+def _place(slope: Number, normal: Number, across: Vector) -> _ConePlace:
     """Above the cone nothing presses, below its polar all does, and between what is outside the cone."""
     length = sqrt(maximum(dot(across, across), _SMALLEST))
     inverse, width = 1.0 / length, 1.0 / (1.0 + squared(slope))
@@ -119,7 +119,7 @@ def _place(slope: Number, normal: Number, across: Vector) -> _Place:
 
     outside = width * (normal - slope * length)
     share = chosen(1.0, -slope * (outside * inverse))
-    return _Place(
+    return _ConePlace(
         across=across,
         pressed=[chosen(normal, outside), *(share * x for x in across)],
         share=share,

@@ -10,7 +10,12 @@ from dataclasses import dataclass
 import mujoco
 
 from core.physics.compiled.constraints.body_rows import BodyGroup
-from core.physics.compiled.constraints.contacts import Contact, contact_rows, is_better_by_body, read_contacts
+from core.physics.compiled.constraints.contacts import (
+    ContactPair,
+    contact_rows,
+    is_better_by_body,
+    read_contacts,
+)
 from core.physics.compiled.constraints.friction_loss import FrictionLoss, friction_row, read_friction_losses
 from core.physics.compiled.constraints.limits import (
     BallLimit,
@@ -20,7 +25,7 @@ from core.physics.compiled.constraints.limits import (
     read_ball_limits,
     read_limits,
 )
-from core.physics.compiled.constraints.rows import Group, Rows
+from core.physics.compiled.constraints.rows import ConstraintRows, RowGroup
 from core.physics.compiled.fields import NOMINAL, Fields, Own
 from core.physics.compiled.program.arithmetic import Vector
 from core.physics.compiled.smooth.dynamics import Motion
@@ -38,7 +43,7 @@ class Constraints:
     frictions: tuple[FrictionLoss, ...]
     limits: tuple[Limit, ...]
     ball_limits: tuple[BallLimit, ...]
-    contacts: tuple[Contact, ...]
+    contacts: tuple[ContactPair, ...]
 
     @property
     def num_rows(self) -> int:
@@ -48,7 +53,7 @@ class Constraints:
 
 
 @dataclass(frozen=True)
-class State:
+class ConstraintState:
     """qpos: [nq]. qvel: [nv]."""
 
     qpos: Vector
@@ -70,7 +75,9 @@ def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
     )
 
 
-def constraint_rows(tree: Tree, constraints: Constraints, at: Poses, moving: Motion, state: State) -> Rows:
+def constraint_rows(
+    tree: Tree, constraints: Constraints, at: Poses, moving: Motion, state: ConstraintState
+) -> ConstraintRows:
     """All rows in this state, contacts last."""
     by_body = is_better_by_body(tree, constraints.contacts)
     skips = len(constraints.contacts) > _FEW_CONTACTS
@@ -79,10 +86,10 @@ def constraint_rows(tree: Tree, constraints: Constraints, at: Poses, moving: Mot
         for contact in constraints.contacts
         for point in contact_rows(tree, contact, at, moving, by_body=by_body, skips=skips)
     ]
-    groups: list[Group | BodyGroup] = [
+    groups: list[RowGroup | BodyGroup] = [
         *(friction_row(friction, state.qvel) for friction in constraints.frictions),
         *(limit_row(limit, state.qpos, state.qvel) for limit in constraints.limits),
         *(ball_limit_row(limit, state.qpos, state.qvel) for limit in constraints.ball_limits),
         *(group for _, group in touching),
     ]
-    return Rows(groups, tree, moving.axes, [distance for distance, _ in touching])
+    return ConstraintRows(groups, tree, moving.axes, [distance for distance, _ in touching])

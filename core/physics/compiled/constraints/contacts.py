@@ -25,8 +25,8 @@ from core.physics.compiled.collisions.table import CHEAP, COLLIDERS
 from core.physics.compiled.constraints.body_rows import BodyGroup
 from core.physics.compiled.constraints.cone import Cone
 from core.physics.compiled.constraints.laws import Law, OneSided, Pyramid
-from core.physics.compiled.constraints.pairs import Pair, Parameters, read_pairs
-from core.physics.compiled.constraints.rows import Direction, Group
+from core.physics.compiled.constraints.pairs import ContactParameters, Pair, read_pairs
+from core.physics.compiled.constraints.rows import Direction, RowGroup
 from core.physics.compiled.constraints.skipping import groups_where, touches_where
 from core.physics.compiled.constraints.solref import impedance_at, reference_at, stiffness_at
 from core.physics.compiled.fields import Fields
@@ -52,7 +52,7 @@ from core.physics.compiled.smooth.tree import Tree
 
 
 @dataclass(frozen=True)
-class Contact:
+class ContactPair:
     """Two geoms that can touch, the second maybe chosen of several that are fixed.
 
     inverse_weight: MuJoCo's `body_invweight0` of both bodies, of translations. is_elliptic: the friction
@@ -61,7 +61,7 @@ class Contact:
 
     one: Geom
     other: Shape
-    parameters: Parameters
+    parameters: ContactParameters
     inverse_weight: Number
     is_elliptic: bool
     impratio: float
@@ -84,7 +84,7 @@ class Contact:
         return self.num_points * at_a_point
 
 
-def read_contacts(fields: Fields) -> tuple[Contact, ...]:
+def read_contacts(fields: Fields) -> tuple[ContactPair, ...]:
     """All that can touch and move."""
     model = fields.model
     geoms = read_geoms(fields)
@@ -92,7 +92,7 @@ def read_contacts(fields: Fields) -> tuple[Contact, ...]:
     moves = [bool(geoms[pair.one].body or geoms[pair.other].body) for pair in pairs]
     pairs, nominal = list(compress(pairs, moves)), list(compress(nominal, moves))
     return tuple(
-        Contact(
+        ContactPair(
             one=geoms[pair.one],
             other=other,
             parameters=pair.parameters,
@@ -104,7 +104,7 @@ def read_contacts(fields: Fields) -> tuple[Contact, ...]:
     )
 
 
-def is_better_by_body(tree: Tree, contacts: Sequence[Contact]) -> bool:
+def is_better_by_body(tree: Tree, contacts: Sequence[ContactPair]) -> bool:
     """Whether contacts take fewer operations at each of the solver's iterations as `body_rows` has them."""
     one_by_one, by_body = 0, 11 * len(tree.entries) + 66 * len(tree.dofs)
     for contact in contacts:
@@ -118,8 +118,8 @@ def is_better_by_body(tree: Tree, contacts: Sequence[Contact]) -> bool:
 
 
 def contact_rows(
-    tree: Tree, contact: Contact, at: Poses, moving: Motion, *, by_body: bool, skips: bool
-) -> list[tuple[Number, Group | BodyGroup]]:
+    tree: Tree, contact: ContactPair, at: Poses, moving: Motion, *, by_body: bool, skips: bool
+) -> list[tuple[Number, RowGroup | BodyGroup]]:
     """For each point of the contact: how far apart the geoms are there, in m, and a group.
 
     skips: whether to compute nothing that geoms which do not touch have no need of. Their distance then is
@@ -135,7 +135,7 @@ def contact_rows(
     touches = _touches(contact, one, other, skips=skips)
     is_single = not (contact.one.body and contact.other.body)
 
-    def groups() -> list[Group | BodyGroup]:
+    def groups() -> list[RowGroup | BodyGroup]:
         return [_group(tree, contact, touch, moving, by_body=by_body and is_single) for touch in touches]
 
     distances = [touch.distance for touch in touches]
@@ -145,14 +145,14 @@ def contact_rows(
     return list(zip(distances, groups(), strict=True))
 
 
-def _touches(contact: Contact, one: Placed, other: Placed, *, skips: bool) -> list[Touch]:
+def _touches(contact: ContactPair, one: Placed, other: Placed, *, skips: bool) -> list[Touch]:
     collide, _ = COLLIDERS[contact.kinds]
     if not skips or contact.kinds in CHEAP:
         return collide(one, other)
     return touches_where(_are_close(contact, one, other), lambda: collide(one, other))
 
 
-def _are_close(contact: Contact, one: Placed, other: Placed) -> Number:
+def _are_close(contact: ContactPair, one: Placed, other: Placed) -> Number:
     """Whether the spheres about the geoms are near enough for them to touch."""
     reach, way = contact.parameters.reach, subtract(one.position, other.position)
     if contact.other.kind == mujoco.mjtGeom.mjGEOM_BOX and contact.one.kind != mujoco.mjtGeom.mjGEOM_PLANE:
@@ -163,7 +163,9 @@ def _are_close(contact: Contact, one: Placed, other: Placed) -> Number:
     return dot(way, way) < squared(contact.one.bound + contact.other.bound + reach)
 
 
-def _group(tree: Tree, contact: Contact, touch: Touch, moving: Motion, *, by_body: bool) -> Group | BodyGroup:
+def _group(
+    tree: Tree, contact: ContactPair, touch: Touch, moving: Motion, *, by_body: bool
+) -> RowGroup | BodyGroup:
     parameters, distance = contact.parameters, touch.distance - contact.parameters.margin
     axes = _axes(contact, touch)
     sides = _sides(tree, contact, touch, moving)
@@ -178,10 +180,10 @@ def _group(tree: Tree, contact: Contact, touch: Touch, moving: Motion, *, by_bod
     law = _law(contact, impedance, distance)
     if by_body:
         return BodyGroup(sides[0].body, [sides[0].wrench(*axis) for axis in axes], reference, law)
-    return Group([_direction(sides, moving, *axis) for axis in axes], reference, law)
+    return RowGroup([_direction(sides, moving, *axis) for axis in axes], reference, law)
 
 
-def _law(contact: Contact, impedance: Number, distance: Number) -> Law:
+def _law(contact: ContactPair, impedance: Number, distance: Number) -> Law:
     friction, weight = contact.parameters.friction, contact.inverse_weight
     if not friction:
         return OneSided(stiffness_at(impedance, weight, distance))
@@ -219,7 +221,7 @@ class _Side:
         return [*force, 0.0, 0.0, 0.0] if turns else [*cross(self.arm, force), *force]
 
 
-def _axes(contact: Contact, touch: Touch) -> list[tuple[Vector, bool]]:
+def _axes(contact: ContactPair, touch: Touch) -> list[tuple[Vector, bool]]:
     """The normal, and as many of both tangents, turning about the normal and rolling as there is friction:
     each with whether it turns."""
     num = 1 + len(contact.parameters.friction)
@@ -227,7 +229,7 @@ def _axes(contact: Contact, touch: Touch) -> list[tuple[Vector, bool]]:
     return [(axis, turns) for turns in (False, True) for axis in frame][:num]
 
 
-def _sides(tree: Tree, contact: Contact, touch: Touch, moving: Motion) -> list[_Side]:
+def _sides(tree: Tree, contact: ContactPair, touch: Touch, moving: Motion) -> list[_Side]:
     bodies = contact.one.body, contact.other.body
     moves = [_moved_by(tree, body) for body in bodies]
     found = list[_Side]()

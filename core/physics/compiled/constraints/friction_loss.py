@@ -6,7 +6,7 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Friction loss"
 from dataclasses import dataclass
 
 from core.physics.compiled.constraints.laws import Slope
-from core.physics.compiled.constraints.rows import Group
+from core.physics.compiled.constraints.rows import RowGroup
 from core.physics.compiled.constraints.solref import (
     SpringDamper,
     full_stiffness,
@@ -93,9 +93,9 @@ def read_friction_losses(fields: Fields) -> tuple[FrictionLoss, ...]:
     return tuple(found)
 
 
-def friction_row(friction: FrictionLoss, qvel: Vector) -> Group:
+def friction_row(friction: FrictionLoss, qvel: Vector) -> RowGroup:
     """Against the speed."""
-    return Group([friction.moment], [-friction.damping * weighted(friction.moment, qvel)], friction.law)
+    return RowGroup([friction.moment], [-friction.damping * weighted(friction.moment, qvel)], friction.law)
 
 
 def _friction_loss(

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from core.physics.compiled.constraints.laws import OneSided
-from core.physics.compiled.constraints.rows import Group
+from core.physics.compiled.constraints.rows import RowGroup
 from core.physics.compiled.constraints.solref import (
     SpringDamper,
     impedance_at,
@@ -78,7 +78,7 @@ def read_ball_limits(fields: Fields) -> tuple[BallLimit, ...]:
     return tuple(_ball_limit(fields, joint) for joint in _limited(model) if _is_ball(model, joint))
 
 
-def limit_row(limit: Limit, qpos: Vector, qvel: Vector) -> Group:
+def limit_row(limit: Limit, qpos: Vector, qvel: Vector) -> RowGroup:
     """The nearer end of the range: both are never active at once."""
     length = weighted(limit.of_positions, qpos)
     above, below = length - limit.low, limit.high - length
@@ -88,10 +88,10 @@ def limit_row(limit: Limit, qpos: Vector, qvel: Vector) -> Group:
     stiffness = stiffness_at(impedance, limit.inverse_weight, distance)
     reference = reference_at(limit.spring, impedance, distance, sign * weighted(limit.moment, qvel))
     direction = {dof: sign * coefficient for dof, coefficient in limit.moment.items()}
-    return Group([direction], [reference], OneSided(stiffness))
+    return RowGroup([direction], [reference], OneSided(stiffness))
 
 
-def ball_limit_row(limit: BallLimit, qpos: Vector, qvel: Vector) -> Group:
+def ball_limit_row(limit: BallLimit, qpos: Vector, qvel: Vector) -> RowGroup:
     """Against the turn that the joint has made, about its axis."""
     real, *imaginary = normalized(qpos[limit.qpos : limit.qpos + 4])
     # The quaternion of the same turn, by less than half a circle.
@@ -103,7 +103,9 @@ def ball_limit_row(limit: BallLimit, qpos: Vector, qvel: Vector) -> Group:
     speed = dot(list(direction.values()), qvel[limit.dof : limit.dof + 3])
     impedance = impedance_at(limit.spring.impedance, distance)
     stiffness = stiffness_at(impedance, limit.inverse_weight, distance)
-    return Group([direction], [reference_at(limit.spring, impedance, distance, speed)], OneSided(stiffness))
+    return RowGroup(
+        [direction], [reference_at(limit.spring, impedance, distance, speed)], OneSided(stiffness)
+    )
 
 
 def _angle(sine_of: Number, cosine_of: Number) -> Number:

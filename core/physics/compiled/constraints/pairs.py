@@ -16,7 +16,7 @@ from core.physics.compiled.program.arithmetic import Number, Vector, maximum, mi
 
 
 @dataclass(frozen=True)
-class Parameters:
+class ContactParameters:
     """Those of a contact.
 
     friction: one for each direction but the normal: tangents, turning about the normal, rolling; empty
@@ -37,7 +37,7 @@ class Pair:
 
     one: int
     other: int
-    parameters: Parameters
+    parameters: ContactParameters
 
 
 def read_pairs(fields: Fields) -> list[Pair]:
@@ -104,12 +104,12 @@ def _bodies_may(model: mujoco.MjModel, one: int, other: int) -> bool:
     return signature not in model.exclude_signature
 
 
-def _pair(model: mujoco.MjModel, one: int, other: int, parameters: Parameters) -> Pair:
+def _pair(model: mujoco.MjModel, one: int, other: int, parameters: ContactParameters) -> Pair:
     first, second = (one, other) if model.geom_type[one] <= model.geom_type[other] else (other, one)
     return Pair(first, second, parameters)
 
 
-def _of_geoms(fields: Fields, one: int, other: int) -> Parameters:
+def _of_geoms(fields: Fields, one: int, other: int) -> ContactParameters:
     model, both = fields.model, [one, other]
     priorities = model.geom_priority[both]
     chosen = [both[int(priorities.argmax())]] if priorities[0] != priorities[1] else both
@@ -119,10 +119,10 @@ def _of_geoms(fields: Fields, one: int, other: int) -> Parameters:
     spring = read_spring(*solref_and_solimp(fields, one, other), model.opt.timestep)
     margin, gap = float(model.geom_margin[both].sum()), float(model.geom_gap[both].sum())
     dimensions = int(model.geom_condim[chosen].max())
-    return Parameters(_bounded(friction, dimensions), spring, margin, margin + gap, spring.damping)
+    return ContactParameters(_bounded(friction, dimensions), spring, margin, margin + gap, spring.damping)
 
 
-def _of_pair(fields: Fields, place: int) -> Parameters:
+def _of_pair(fields: Fields, place: int) -> ContactParameters:
     model = fields.model
     solimp, own = model.pair_solimp[place], fields.row("pair_solreffriction", place)
     spring = read_spring(fields.row("pair_solref", place), solimp, model.opt.timestep)
@@ -131,7 +131,9 @@ def _of_pair(fields: Fields, place: int) -> Parameters:
         damping = read_spring(own, solimp, model.opt.timestep).damping
     margin, gap = float(model.pair_margin[place]), float(model.pair_gap[place])
     friction = tuple(fields.row("pair_friction", place))
-    return Parameters(_bounded(friction, int(model.pair_dim[place])), spring, margin, margin + gap, damping)
+    return ContactParameters(
+        _bounded(friction, int(model.pair_dim[place])), spring, margin, margin + gap, damping
+    )
 
 
 def _bounded(friction: tuple[Number, ...], dimensions: int) -> tuple[Number, ...]:

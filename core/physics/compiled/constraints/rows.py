@@ -22,7 +22,7 @@ Direction = dict[int, Number]
 
 
 @dataclass(frozen=True)
-class Group:
+class RowGroup:
     """The directions have the same degrees of freedom. reference: by direction, the wanted acceleration.
 
     may_push: in which environments the law is not 0 everywhere; True: perhaps in all.
@@ -40,31 +40,31 @@ class Group:
 
 
 @dataclass(frozen=True)
-class Rows:
+class ConstraintRows:
     """axes: by degree of freedom, [6], in this state; see `Motion`. distances: in m, between geoms at each of
     the points where they can touch, of which the last groups are."""
 
-    groups: Sequence[Group | BodyGroup]
+    groups: Sequence[RowGroup | BodyGroup]
     tree: Tree
     axes: Sequence[Vector]
     distances: Sequence[Number]
 
 
-def times(rows: Rows, vector: Vector) -> Vector:
+def times(rows: ConstraintRows, vector: Vector) -> Vector:
     """A vector [nv] along all directions."""
     return _joined(_along(rows, vector, lambda group, moved: moved))
 
 
-def residual(rows: Rows, acceleration: Vector) -> Vector:
+def residual(rows: ConstraintRows, acceleration: Vector) -> Vector:
     """An acceleration [nv] along all directions, less the reference."""
 
-    def less(group: Group | BodyGroup, moved: Vector) -> Vector:
+    def less(group: RowGroup | BodyGroup, moved: Vector) -> Vector:
         return [x - wanted for x, wanted in zip(moved, group.reference, strict=True)]
 
     return _joined(_along(rows, acceleration, less))
 
 
-def pulled_back(rows: Rows, forces: Vector, num_dofs: int) -> Vector:
+def pulled_back(rows: ConstraintRows, forces: Vector, num_dofs: int) -> Vector:
     """Forces along all directions, as forces on the degrees of freedom [nv]."""
     terms: list[list[Number]] = [[] for _ in range(num_dofs)]
     wrenches: dict[int, list[Vector]] = {}
@@ -80,7 +80,7 @@ def pulled_back(rows: Rows, forces: Vector, num_dofs: int) -> Vector:
     return [total(own) for own in terms]
 
 
-def forces(rows: Rows, residual: Vector) -> Vector:
+def forces(rows: ConstraintRows, residual: Vector) -> Vector:
     """How hard the rows push along all directions."""
     return _joined(
         _computed(bundle, lambda group, own: group.law.forces(own), residual, summed=False)
@@ -88,7 +88,7 @@ def forces(rows: Rows, residual: Vector) -> Vector:
     )
 
 
-def curvature(rows: Rows, residual: Vector) -> body_rows.Terms:
+def curvature(rows: ConstraintRows, residual: Vector) -> body_rows.Terms:
     """Jᵀ H J, with the second derivatives H of the rows' cost: terms of its lower triangle's entries."""
     bends: dict[int, list[Vector]] = {}
     found = body_rows.Terms()
@@ -105,14 +105,14 @@ def curvature(rows: Rows, residual: Vector) -> body_rows.Terms:
     return found
 
 
-def cost(rows: Rows, residual: Vector) -> Number:
+def cost(rows: ConstraintRows, residual: Vector) -> Number:
     """The cost of all rows."""
     return total(
         _computed(bundle, lambda group, own: [group.law.cost(own)], residual)[0] for bundle in _bundles(rows)
     )
 
 
-def cost_decrease(rows: Rows, before: Vector, after: Vector) -> Number:
+def cost_decrease(rows: ConstraintRows, before: Vector, after: Vector) -> Number:
     """cost(before) - cost(after), computed without cancellation."""
     return total(
         _computed(bundle, lambda group, own, then: [group.law.cost_decrease(own, then)], before, after)[0]
@@ -120,7 +120,7 @@ def cost_decrease(rows: Rows, before: Vector, after: Vector) -> Number:
     )
 
 
-def slope(rows: Rows, residual: Vector, rates: Vector) -> Slope:
+def slope(rows: ConstraintRows, residual: Vector, rates: Vector) -> Slope:
     """The slope of the cost where the residual changes at these rates."""
     always, at_times = list[Slope](), list[_Bundle]()
     for bundle in _bundles(rows):
@@ -143,7 +143,7 @@ def slope(rows: Rows, residual: Vector, rates: Vector) -> Slope:
     return summed
 
 
-def by_group(rows: Rows, values: Sequence[Number]) -> Iterator[tuple[Group | BodyGroup, Vector]]:
+def by_group(rows: ConstraintRows, values: Sequence[Number]) -> Iterator[tuple[RowGroup | BodyGroup, Vector]]:
     """Each group with its own part of a number for each direction."""
     place = 0
     for group in rows.groups:
@@ -162,14 +162,14 @@ def added(mass: Entries, terms: body_rows.Terms) -> Entries:
 class _Bundle:
     """Groups that push together, such as a contact's points. first: the place of their first direction."""
 
-    groups: Sequence[Group | BodyGroup]
+    groups: Sequence[RowGroup | BodyGroup]
     first: int
 
     @property
     def may_push(self) -> Number:
         return self.groups[0].may_push
 
-    def parts(self, *vectors: Vector) -> Iterator[tuple[Group | BodyGroup, *tuple[Vector, ...]]]:
+    def parts(self, *vectors: Vector) -> Iterator[tuple[RowGroup | BodyGroup, *tuple[Vector, ...]]]:
         """Each group with its own parts of numbers for each direction."""
         place = self.first
         for group in self.groups:
@@ -178,7 +178,7 @@ class _Bundle:
             place = end
 
 
-def _bundles(rows: Rows) -> Iterator[_Bundle]:
+def _bundles(rows: ConstraintRows) -> Iterator[_Bundle]:
     place = 0
     for _, several in groupby(rows.groups, _what_decides):
         groups = list(several)
@@ -186,7 +186,7 @@ def _bundles(rows: Rows) -> Iterator[_Bundle]:
         place += sum(group.size for group in groups)
 
 
-def _what_decides(group: Group | BodyGroup) -> int:
+def _what_decides(group: RowGroup | BodyGroup) -> int:
     """The same for groups that push together."""
     return id(group if group.may_push is True else group.may_push)
 
@@ -204,13 +204,13 @@ def _computed(
 
 
 def _along(
-    rows: Rows, vector: Vector, compute: Callable[[Group | BodyGroup, Vector], Vector]
+    rows: ConstraintRows, vector: Vector, compute: Callable[[RowGroup | BodyGroup, Vector], Vector]
 ) -> Iterator[Vector]:
     """By bundle: numbers of a vector [nv] along each direction."""
     bodies = [group.body for group in rows.groups if isinstance(group, BodyGroup)]
     motions = body_rows.motions(rows.tree, rows.axes, vector, bodies)
 
-    def moved(group: Group | BodyGroup) -> Vector:
+    def moved(group: RowGroup | BodyGroup) -> Vector:
         if isinstance(group, BodyGroup):
             return compute(group, [dot(wrench, motions[group.body]) for wrench in group.wrenches])
         return compute(group, [total(x * vector[i] for i, x in one.items()) for one in group.directions])
@@ -224,7 +224,7 @@ def _wrench(group: BodyGroup, forces: Vector) -> Vector:
     return [total(entries) for entries in zip(*pushes, strict=True)]
 
 
-def _on_dofs(group: Group, forces: Vector) -> Vector:
+def _on_dofs(group: RowGroup, forces: Vector) -> Vector:
     """By degree of freedom, in the directions' order."""
     pairs = list(zip(group.directions, forces, strict=True))
     return [total(direction[i] * force for direction, force in pairs) for i in group.directions[0]]
@@ -234,7 +234,7 @@ def _bend(group: BodyGroup, residual: Vector) -> Vector:
     return body_rows.bend(group, group.law.weights(residual))
 
 
-def _entries(group: Group, residual: Vector) -> Vector:
+def _entries(group: RowGroup, residual: Vector) -> Vector:
     """The entries of the lower triangle."""
     weights = group.law.weights(residual)
     columns = {i: [direction[i] for direction in group.directions] for i in group.directions[0]}
@@ -242,7 +242,7 @@ def _entries(group: Group, residual: Vector) -> Vector:
     return [dot(columns[j], along[i]) for i, j in _lower_triangle(group)]
 
 
-def _lower_triangle(group: Group) -> list[tuple[int, int]]:
+def _lower_triangle(group: RowGroup) -> list[tuple[int, int]]:
     dofs = list(group.directions[0])
     return [(i, j) for i in dofs for j in dofs if j <= i]
 

@@ -7,7 +7,7 @@ from itertools import islice
 from core.physics.compiled.collisions.shapes import AWAY, Touch
 from core.physics.compiled.constraints.body_rows import BodyGroup
 from core.physics.compiled.constraints.laws import with_stiffness
-from core.physics.compiled.constraints.rows import Group
+from core.physics.compiled.constraints.rows import RowGroup
 from core.physics.compiled.program.arithmetic import Number, Vector
 from core.physics.compiled.program.flow import nothing, where_needed
 
@@ -40,10 +40,10 @@ def touches_where(is_close: Number, collide: Callable[[], Sequence[Touch]]) -> l
 
 
 def groups_where(
-    may_push: Number, make: Callable[[], Sequence[Group | BodyGroup]]
-) -> list[Group | BodyGroup]:
+    may_push: Number, make: Callable[[], Sequence[RowGroup | BodyGroup]]
+) -> list[RowGroup | BodyGroup]:
     """The groups of a contact where the condition is true; elsewhere their numbers are 0."""
-    groups = list[Group | BodyGroup]()
+    groups = list[RowGroup | BodyGroup]()
 
     def numbers() -> Vector:
         groups.extend(make())
@@ -53,14 +53,14 @@ def groups_where(
     return [_renewed(group, left, may_push) for group in groups]
 
 
-def _numbers(group: Group | BodyGroup) -> Vector:
+def _numbers(group: RowGroup | BodyGroup) -> Vector:
     directions = (
-        [list(one.values()) for one in group.directions] if isinstance(group, Group) else group.wrenches
+        [list(one.values()) for one in group.directions] if isinstance(group, RowGroup) else group.wrenches
     )
     return [*(number for one in directions for number in one), *group.reference, group.law.stiffness]
 
 
-def _renewed(group: Group | BodyGroup, left: Iterator[Number], may_push: Number) -> Group | BodyGroup:
+def _renewed(group: RowGroup | BodyGroup, left: Iterator[Number], may_push: Number) -> RowGroup | BodyGroup:
     """The group with numbers in the order of `_numbers`."""
     if isinstance(group, BodyGroup):
         group = replace(group, wrenches=[_next(left, wrench) for wrench in group.wrenches])

@@ -6,7 +6,7 @@ Source: MuJoCo's documentation, Computation, "Solvers"; Todorov (2014).
 from dataclasses import dataclass, fields, replace
 
 from core.physics.compiled.constraints.rows import (
-    Rows,
+    ConstraintRows,
     added,
     cost,
     cost_decrease,
@@ -45,14 +45,14 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Problem:
+class SolverProblem:
     """mass: M. force: all but the constraints', [nv]; free: the acceleration under it, M⁻¹ force."""
 
     tree: Tree
     mass: Entries
     force: Vector
     free: Vector
-    rows: Rows
+    rows: ConstraintRows
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class _Guess:
     residual: Vector
 
 
-def acceleration(problem: Problem, warm: Vector, settings: Settings) -> Vector:
+def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Vector:
     """[nv]: MuJoCo's `qacc`. It begins at `warm` [nv] or at the free acceleration, whichever costs less."""
     tree = problem.tree
     begun, free = _guess(problem, warm), _guess(problem, problem.free)
@@ -91,7 +91,7 @@ def acceleration(problem: Problem, warm: Vector, settings: Settings) -> Vector:
     return _unpacked(repeat(settings.iterations, iterate, _packed(start)), start).acceleration
 
 
-def _newton_direction(problem: Problem, guess: _Guess) -> tuple[Vector, Vector]:
+def _newton_direction(problem: SolverProblem, guess: _Guess) -> tuple[Vector, Vector]:
     """-H⁻¹ g, and the gradient g: [nv] each."""
     pull = pulled_back(problem.rows, forces(problem.rows, guess.residual), len(problem.force))
     gradient = [x - y - z for x, y, z in zip(guess.inertial, problem.force, pull, strict=True)]
@@ -101,7 +101,7 @@ def _newton_direction(problem: Problem, guess: _Guess) -> tuple[Vector, Vector]:
 
 
 def _line_search(
-    problem: Problem, guess: _Guess, direction: Vector, settings: Settings, scale: float
+    problem: SolverProblem, guess: _Guess, direction: Vector, settings: Settings, scale: float
 ) -> tuple[_Guess, Number]:
     """The best guess along the direction, and by how much its cost is less.
 
@@ -152,12 +152,12 @@ def _line_search(
 _FAR, _TINY = 1e30, 1e-30
 
 
-def _guess(problem: Problem, acceleration: Vector) -> _Guess:
+def _guess(problem: SolverProblem, acceleration: Vector) -> _Guess:
     inertial = multiply(problem.tree, problem.mass, acceleration)
     return _Guess(acceleration, inertial, residual(problem.rows, acceleration))
 
 
-def _cost(problem: Problem, guess: _Guess) -> Number:
+def _cost(problem: SolverProblem, guess: _Guess) -> Number:
     apart = total(
         (x - y) * (a - b)
         for x, y, a, b in zip(guess.inertial, problem.force, guess.acceleration, problem.free, strict=True)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from core.physics.compiled.constraints.contacts import Contact
-from core.physics.compiled.constraints.rows import Rows, by_group, residual
+from core.physics.compiled.constraints.contacts import ContactPair
+from core.physics.compiled.constraints.rows import ConstraintRows, by_group, residual
 from core.physics.compiled.program.arithmetic import Number, Vector, maximum, select, total
 
 _TOUCH, _CONTACT = mujoco.mjtSensor.mjSENS_TOUCH, mujoco.mjtSensor.mjSENS_CONTACT
@@ -28,7 +28,7 @@ class ContactSensor:
     counts: bool
 
 
-def read_contact_sensors(model: mujoco.MjModel, contacts: Sequence[Contact]) -> tuple[ContactSensor, ...]:
+def read_contact_sensors(model: mujoco.MjModel, contacts: Sequence[ContactPair]) -> tuple[ContactSensor, ...]:
     """The model's touch and contact sensors, which `coverage` must have let pass."""
     numbers = [number for number in range(model.nsensor) if int(model.sensor_type[number]) in KINDS]
     return tuple(
@@ -42,7 +42,10 @@ def read_contact_sensors(model: mujoco.MjModel, contacts: Sequence[Contact]) -> 
 
 
 def normal_forces(
-    sensors: Sequence[ContactSensor], contacts: Sequence[Contact], rows: Rows, acceleration: Vector
+    sensors: Sequence[ContactSensor],
+    contacts: Sequence[ContactPair],
+    rows: ConstraintRows,
+    acceleration: Vector,
 ) -> Vector:
     """By sensor that sums them, under this acceleration [nv]. rows: those of the contacts last."""
     first = len(rows.groups) - len(rows.distances)
@@ -61,7 +64,7 @@ def normal_forces(
 
 
 def numbers_touching(
-    sensors: Sequence[ContactSensor], contacts: Sequence[Contact], distances: Sequence[Number]
+    sensors: Sequence[ContactSensor], contacts: Sequence[ContactPair], distances: Sequence[Number]
 ) -> Vector:
     """By sensor that counts: at how many points the geoms touch. distances: of all contacts' points."""
     places = _places(contacts)
@@ -114,7 +117,7 @@ def _axis(quaternion: np.ndarray) -> np.ndarray:
     return axis
 
 
-def _reads(model: mujoco.MjModel, sensor: int, contact: Contact) -> bool:
+def _reads(model: mujoco.MjModel, sensor: int, contact: ContactPair) -> bool:
     number, other = int(model.sensor_objid[sensor]), int(model.sensor_refid[sensor])
     geoms = [contact.one.number, *contact.other.numbers]
     if model.sensor_type[sensor] == _TOUCH:
@@ -122,7 +125,7 @@ def _reads(model: mujoco.MjModel, sensor: int, contact: Contact) -> bool:
     return number in geoms and (other < 0 or (other in geoms and other != number))
 
 
-def _places(contacts: Sequence[Contact]) -> list[range]:
+def _places(contacts: Sequence[ContactPair]) -> list[range]:
     """By contact: the places of its points."""
     ends = np.cumsum([contact.num_points for contact in contacts])
     return [range(end - one.num_points, end) for one, end in zip(contacts, ends.tolist(), strict=True)]

@@ -31,7 +31,7 @@ _Kind = mujoco.mjtSensor
 
 
 @dataclass(frozen=True)
-class Sensor:
+class SensorConstants:
     """number: its own. kind: of MuJoCo's `mjtSensor`. object: what it reads, of the kind `object_kind`.
     reference: the frame in which it reads; None: the world's."""
 
@@ -47,7 +47,7 @@ def sensor_values(scene: Scene) -> Vector:
     model, found = scene.fields.model, list[Vector]()
     for number in range(model.nsensor):
         reference = int(model.sensor_refid[number])
-        sensor = Sensor(
+        sensor = SensorConstants(
             number=number,
             kind=int(model.sensor_type[number]),
             object=int(model.sensor_objid[number]),
@@ -74,7 +74,7 @@ def is_known(kind: int) -> bool:
     return kind in _READ
 
 
-def _joint(scene: Scene, sensor: Sensor) -> Vector:
+def _joint(scene: Scene, sensor: SensorConstants) -> Vector:
     model, joint = scene.fields.model, sensor.object
     position, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     match sensor.kind:
@@ -88,7 +88,7 @@ def _joint(scene: Scene, sensor: Sensor) -> Vector:
             return scene.qvel[dof : dof + 3]
 
 
-def _length(scene: Scene, sensor: Sensor) -> Vector:
+def _length(scene: Scene, sensor: SensorConstants) -> Vector:
     """The length of a tendon or an actuator, or its rate."""
     if sensor.kind in (_Kind.mjSENS_TENDONPOS, _Kind.mjSENS_TENDONVEL):
         tendon = scene.tendons[sensor.object]
@@ -100,7 +100,7 @@ def _length(scene: Scene, sensor: Sensor) -> Vector:
     return [weighted(moment, scene.qvel)]
 
 
-def _position(scene: Scene, sensor: Sensor) -> Vector:
+def _position(scene: Scene, sensor: SensorConstants) -> Vector:
     position = scene.position(scene.frame(sensor.object_kind, sensor.object))
     if sensor.reference is None:
         return position
@@ -108,20 +108,20 @@ def _position(scene: Scene, sensor: Sensor) -> Vector:
     return rotate(transpose(scene.rotation(sensor.reference)), apart)
 
 
-def _axis(scene: Scene, sensor: Sensor) -> Vector:
+def _axis(scene: Scene, sensor: SensorConstants) -> Vector:
     place = sensor.kind - _Kind.mjSENS_FRAMEXAXIS
     axis = transpose(scene.rotation(scene.frame(sensor.object_kind, sensor.object)))[place]
     return rotate(transpose(scene.rotation(sensor.reference)), axis) if sensor.reference else axis
 
 
-def _quaternion(scene: Scene, sensor: Sensor) -> Vector:
+def _quaternion(scene: Scene, sensor: SensorConstants) -> Vector:
     quaternion = scene.quaternion(scene.frame(sensor.object_kind, sensor.object))
     if sensor.reference is None:
         return quaternion
     return quaternion_product(conjugate(scene.quaternion(sensor.reference)), quaternion)
 
 
-def _velocity(scene: Scene, sensor: Sensor) -> Vector:
+def _velocity(scene: Scene, sensor: SensorConstants) -> Vector:
     frame, reference = scene.frame(sensor.object_kind, sensor.object), sensor.reference
     turn, way = scene.velocity(frame)
     if reference is not None:
@@ -133,7 +133,7 @@ def _velocity(scene: Scene, sensor: Sensor) -> Vector:
     return turn if sensor.kind == _Kind.mjSENS_FRAMEANGVEL else way
 
 
-def _at_site(scene: Scene, sensor: Sensor) -> Vector:
+def _at_site(scene: Scene, sensor: SensorConstants) -> Vector:
     """A quantity in the axes of a site."""
     site = scene.frame(mujoco.mjtObj.mjOBJ_SITE, sensor.object)
     to_site = transpose(scene.rotation(site))
@@ -143,18 +143,18 @@ def _at_site(scene: Scene, sensor: Sensor) -> Vector:
     return rotate(to_site, turn if sensor.kind == _Kind.mjSENS_GYRO else way)
 
 
-def _subtree(scene: Scene, sensor: Sensor) -> Vector:
+def _subtree(scene: Scene, sensor: SensorConstants) -> Vector:
     if sensor.kind == _Kind.mjSENS_SUBTREECOM:
         return scene.means(scene.poses.centres)[sensor.object]
     frames = [scene.frame(mujoco.mjtObj.mjOBJ_BODY, body) for body in range(len(scene.tree.bodies))]
     return scene.means([scene.velocity(frame)[1] for frame in frames])[sensor.object]
 
 
-def _read_before(scene: Scene, sensor: Sensor) -> Vector:
+def _read_before(scene: Scene, sensor: SensorConstants) -> Vector:
     return scene.readings[sensor.number]
 
 
-_READ: Mapping[int, Callable[[Scene, Sensor], Vector]] = {
+_READ: Mapping[int, Callable[[Scene, SensorConstants], Vector]] = {
     **dict.fromkeys((_Kind.mjSENS_JOINTPOS, _Kind.mjSENS_JOINTVEL), _joint),
     **dict.fromkeys((_Kind.mjSENS_BALLQUAT, _Kind.mjSENS_BALLANGVEL), _joint),
     **dict.fromkeys((_Kind.mjSENS_TENDONPOS, _Kind.mjSENS_TENDONVEL), _length),

@@ -16,7 +16,7 @@ from core.physics.compiled.smooth.tree import Range, Tree
 
 
 @dataclass(frozen=True)
-class Activation:
+class ActivationConstants:
     """address: in act. share: of the way to the control that a filter goes in a timestep; None: an integrator
     of the control. early: the force follows the activation after the timestep."""
 
@@ -27,7 +27,7 @@ class Activation:
 
 
 @dataclass(frozen=True)
-class Actuator:
+class ActuatorConstants:
     """A force along a length: gain · (control or activation) + bias.
 
     of_positions: the length, by address in qpos; empty where it has none. moment: its rate, by degree of
@@ -39,7 +39,7 @@ class Actuator:
     moment: Coefficients
     gain: Vector
     bias: Vector
-    activation: Activation | None
+    activation: ActivationConstants | None
     control_range: Range | None
     force_range: Range | None
 
@@ -68,7 +68,7 @@ class ActuatorState:
     held: Vector
 
 
-def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[Actuator, ...]:
+def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[ActuatorConstants, ...]:
     """The model's actuators, on joints and fixed tendons; none where actuation is disabled.
 
     own: see `Fields`.
@@ -79,7 +79,9 @@ def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[Actuator,
     return tuple(_actuator(fields, number) for number in range(model.nactuator))
 
 
-def driven(tree: Tree, actuators: tuple[Actuator, ...], state: ActuatorState, timestep: float) -> Driven:
+def driven(
+    tree: Tree, actuators: tuple[ActuatorConstants, ...], state: ActuatorState, timestep: float
+) -> Driven:
     """The actuators in a timestep."""
     found = Driven([], [0.0] * len(state.qvel), list(state.act), [])
     if not actuators:
@@ -94,7 +96,9 @@ def driven(tree: Tree, actuators: tuple[Actuator, ...], state: ActuatorState, ti
     return found
 
 
-def _drive(actuator: Actuator, control: Number, state: ActuatorState, timestep: float, found: Driven) -> None:
+def _drive(
+    actuator: ActuatorConstants, control: Number, state: ActuatorState, timestep: float, found: Driven
+) -> None:
     """Add what one actuator does."""
     length, rate = weighted(actuator.of_positions, state.qpos), weighted(actuator.moment, state.qvel)
     wanted = clip(control, *actuator.control_range) if actuator.control_range else control
@@ -116,7 +120,7 @@ def _drive(actuator: Actuator, control: Number, state: ActuatorState, timestep: 
         found.on_dofs[dof] = found.on_dofs[dof] + coefficient * force
 
 
-def _activated(activation: Activation, before: Number, control: Number, timestep: float) -> Number:
+def _activated(activation: ActivationConstants, before: Number, control: Number, timestep: float) -> Number:
     """The activation after the timestep."""
     if activation.share is None:
         after = before + timestep * control
@@ -130,7 +134,7 @@ def _affine(coefficients: Vector, length: Number, rate: Number) -> Number:
     return constant + of_length * length + of_rate * rate
 
 
-def _actuator(fields: Fields, number: int) -> Actuator:
+def _actuator(fields: Fields, number: int) -> ActuatorConstants:
     model = fields.model
     of_positions, moment = transmission(fields, number)
     gain, bias = fields.row("actuator_gainprm", number), fields.row("actuator_biasprm", number)
@@ -139,7 +143,7 @@ def _actuator(fields: Fields, number: int) -> Actuator:
     clamps = not fields.disables(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
     limits_control = clamps and bool(model.actuator_ctrllimited[number])
     low, high = fields.row("actuator_forcerange", number)
-    return Actuator(
+    return ActuatorConstants(
         of_positions=of_positions,
         moment=moment,
         gain=gain[:3] if affine_gain else [gain[0], 0.0, 0.0],
@@ -167,7 +171,7 @@ def transmission(fields: Fields, number: int) -> tuple[Coefficients, Coefficient
     return ({int(model.jnt_qposadr[target]): gear[0]} if num_dofs == 1 else {}), moment
 
 
-def _activation(fields: Fields, number: int) -> Activation:
+def _activation(fields: Fields, number: int) -> ActivationConstants:
     model, dynamics = fields.model, mujoco.mjtDyn
     timestep = float(model.opt.timestep)
     time_constant = fields.number("actuator_dynprm", number)
@@ -176,7 +180,7 @@ def _activation(fields: Fields, number: int) -> Activation:
         share = timestep / maximum(time_constant, mujoco.mjMINVAL)
     elif model.actuator_dyntype[number] == dynamics.mjDYN_FILTEREXACT:
         share = 1.0 - exp(-timestep / max(time_constant, mujoco.mjMINVAL))
-    return Activation(
+    return ActivationConstants(
         address=int(model.actuator_actadr[number]),
         share=share,
         range=_range(model.actuator_actrange[number]) if model.actuator_actlimited[number] else None,

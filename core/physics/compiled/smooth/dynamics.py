@@ -19,7 +19,7 @@ from core.physics.compiled.program.arithmetic import (
 )
 from core.physics.compiled.smooth.kinematics import Poses
 from core.physics.compiled.smooth.spatial import about_centre, cross_force, cross_motion, momentum
-from core.physics.compiled.smooth.tree import Joint, Tree
+from core.physics.compiled.smooth.tree import JointConstants, Tree
 
 Entries = dict[tuple[int, int], Number]
 # By body: a spatial force [6] about its tree's centre of mass.
@@ -108,7 +108,7 @@ def _centre(tree: Tree, at: Poses, root: int) -> Vector:
     return [total(at.centres[number][k] * tree.bodies[number].share for number in members) for k in range(3)]
 
 
-def _axes(joint: Joint, at: Poses, body: int, centre: Vector) -> list[list[Vector]]:
+def _axes(joint: JointConstants, at: Poses, body: int, centre: Vector) -> list[list[Vector]]:
     """The joint's axes [6] in groups: those of a group change with the velocity before the whole group."""
     arm = subtract(centre, at.anchors[joint.dof])
     unit = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]

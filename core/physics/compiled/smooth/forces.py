@@ -15,7 +15,7 @@ from core.physics.compiled.program.arithmetic import (
 from core.physics.compiled.smooth.dynamics import Motion, Wrenches, projected
 from core.physics.compiled.smooth.kinematics import Poses
 from core.physics.compiled.smooth.rotations import conjugate, rotation_vector
-from core.physics.compiled.smooth.tree import Joint, Tree
+from core.physics.compiled.smooth.tree import JointConstants, Tree
 
 
 def passive_forces(tree: Tree, qpos: Vector, qvel: Vector) -> Vector:
@@ -40,7 +40,7 @@ def weight_held(tree: Tree, at: Poses, moving: Motion) -> Vector:
     return projected(tree, moving, held) if held else []
 
 
-def _stretch(joint: Joint, qpos: Vector) -> Vector:
+def _stretch(joint: JointConstants, qpos: Vector) -> Vector:
     """How far each degree of freedom is from where the spring rests; rotations as a vector in rad."""
     place = joint.qpos
     if joint.kind in ("hinge", "slide"):

@@ -16,7 +16,7 @@ from core.physics.compiled.program.arithmetic import (
     sine,
     sqrt,
 )
-from core.physics.compiled.smooth.actuation import Actuator
+from core.physics.compiled.smooth.actuation import ActuatorConstants
 from core.physics.compiled.smooth.dynamics import Entries
 from core.physics.compiled.smooth.tendons import Tendon, add_outer
 from core.physics.compiled.smooth.tree import Tree
@@ -37,7 +37,7 @@ def implicit_inertia(tree: Tree, mass: Entries, timestep: float) -> Entries:
 def add_slopes(
     inertia: Entries,
     tendons: tuple[Tendon, ...],
-    actuators: tuple[Actuator, ...],
+    actuators: tuple[ActuatorConstants, ...],
     slopes: Vector,
     timestep: float,
 ) -> None:

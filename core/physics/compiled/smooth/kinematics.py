@@ -14,7 +14,7 @@ from core.physics.compiled.program.arithmetic import (
     scale,
     subtract,
 )
-from core.physics.compiled.smooth.tree import Joint, Tree
+from core.physics.compiled.smooth.tree import JointConstants, Tree
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def poses(tree: Tree, qpos: Vector) -> Poses:
     return found
 
 
-def _move(frame: _Frame, joint: Joint, qpos: Vector, found: Poses) -> None:
+def _move(frame: _Frame, joint: JointConstants, qpos: Vector, found: Poses) -> None:
     """Put the frame where the joint's position puts it, and note the joint's anchor and axis."""
     first = joint.qpos
     if joint.kind == "free":

@@ -16,7 +16,7 @@ _KINDS: tuple[JointKind, ...] = ("free", "ball", "slide", "hinge")  # in MuJoCo'
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointConstants:
     """qpos, dof: addresses of its first position and velocity. anchor, axis: in the body's frame, in m.
 
     reference, spring: positions (qpos0, qpos_spring) from its address on; stiffness: N/m or N m/rad.
@@ -33,7 +33,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Body:
+class BodyConstants:
     """parent, root: numbers of bodies; 0 is the world, which has neither joints nor mass.
 
     position [3] in m and quaternion [4]: in the parent's frame. centre: of mass [3], in the body's frame.
@@ -50,7 +50,7 @@ class Body:
     mass: Number
     share: Number
     gravity_compensation: float
-    joints: tuple[Joint, ...]
+    joints: tuple[JointConstants, ...]
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Dof:
 class Tree:
     """gravity: [3] in m/s²."""
 
-    bodies: tuple[Body, ...]
+    bodies: tuple[BodyConstants, ...]
     dofs: tuple[Dof, ...]
     gravity: Vector
 
@@ -118,12 +118,12 @@ def _shares(fields: Fields) -> list[Number]:
     return found
 
 
-def _body(fields: Fields, number: int, share: Number) -> Body:
+def _body(fields: Fields, number: int, share: Number) -> BodyConstants:
     model = fields.model
     first = int(model.body_jntadr[number])
     joints = range(first, first + int(model.body_jntnum[number]))
     is_world = number == 0
-    return Body(
+    return BodyConstants(
         parent=int(model.body_parentid[number]),
         root=int(model.body_rootid[number]),
         position=[0.0] * 3 if is_world else fields.row("body_pos", number),
@@ -151,13 +151,13 @@ def _inertia(fields: Fields, number: int) -> Vector:
     return [entry(0, 0), entry(1, 1), entry(2, 2), entry(0, 1), entry(0, 2), entry(1, 2)]
 
 
-def _joint(fields: Fields, number: int) -> Joint:
+def _joint(fields: Fields, number: int) -> JointConstants:
     model = fields.model
     kind = _KINDS[int(model.jnt_type[number])]
     first = int(model.jnt_qposadr[number])
     positions = slice(first, first + {"free": 7, "ball": 4}.get(kind, 1))
     springless = fields.disables(mujoco.mjtDisableBit.mjDSBL_SPRING)
-    return Joint(
+    return JointConstants(
         kind=kind,
         qpos=first,
         dof=int(model.jnt_dofadr[number]),

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.off_policy.replay import Replay, Rows, Sample, added, empty, sample
+from core.algorithms.off_policy.replay import Replay, ReplayRows, Sample, added, empty, sample
 
 DISCOUNTING = 0.5
 
 
-def rows(*, first: int, ended: list[float], truncated: list[float] | None = None) -> Rows:
+def rows(*, first: int, ended: list[float], truncated: list[float] | None = None) -> ReplayRows:
     """One environment's: the observation counts the rows, the reward is ten times that."""
     count = first + jnp.arange(len(ended), dtype=jnp.float32)
     cut = [0.0] * len(ended) if truncated is None else truncated
-    return Rows(
+    return ReplayRows(
         observation=count[:, None, None],
         action=-count[:, None, None],
         reward=10 * count[:, None],
@@ -25,7 +25,7 @@ def rows(*, first: int, ended: list[float], truncated: list[float] | None = None
     )
 
 
-def replay_of(kept: Rows, capacity: int) -> Replay:
+def replay_of(kept: ReplayRows, capacity: int) -> Replay:
     return added(empty(capacity, 1, 1, 1), kept)
 
 
@@ -88,7 +88,7 @@ def test_every_environment_is_drawn(num_envs: int) -> None:
     replay = empty(4, num_envs, 1, 1)
     ones = jnp.ones((4, num_envs))
     number = jnp.broadcast_to(jnp.arange(num_envs, dtype=jnp.float32), (4, num_envs))
-    replay = added(replay, Rows(number[..., None], number[..., None], number, 0 * ones, 0 * ones))
+    replay = added(replay, ReplayRows(number[..., None], number[..., None], number, 0 * ones, 0 * ones))
     drawn = sample(replay, jax.random.key(1), 200, n_step=1, discounting=jnp.float32(1.0))
     assert set(np.unique(drawn.observation)) == set(range(num_envs))
     np.testing.assert_array_equal(drawn.reward, drawn.observation[:, 0])

@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from core.environments.cpg import roles
-from core.environments.cpg.oscillators import Network, Oscillators, advance, at_rest, output
+from core.environments.cpg.oscillators import OscillatorNetwork, Oscillators, advance, at_rest, output
 from core.environments.cpg.roles import Gait, modulation, roles_under
 
 WEIGHT, GAIN, DT, OMEGA, LIMIT = 5.0, 20.0, 0.04, np.pi, np.pi / 12
-OURS = Network(jnp.asarray(roles.weights(5, WEIGHT)), GAIN, GAIN)
+OURS = OscillatorNetwork(jnp.asarray(roles.weights(5, WEIGHT)), GAIN, GAIN)
 
 
 def the_notebooks(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from core.environments.cpg.oscillators import (
     Integrator,
     Modulation,
-    Network,
+    OscillatorNetwork,
     Oscillators,
     advance,
     at_rest,
@@ -23,7 +23,7 @@ WEIGHT = 1.5
 BIAS = 0.5
 BEGIN = 2.0  # by how much the second of a pair is ahead at first
 advance = jax.jit(advance, static_argnames=("integrator", "num_steps"))
-PAIR = Network(jnp.array([[0.0, WEIGHT], [WEIGHT, 0.0]]), GAIN, GAIN)
+PAIR = OscillatorNetwork(jnp.array([[0.0, WEIGHT], [WEIGHT, 0.0]]), GAIN, GAIN)
 
 
 def towards(
@@ -60,7 +60,7 @@ def settled(time: float | NDArray[np.float64]) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
 def test_a_lone_oscillator_turns_with_its_frequency(integrator: Integrator) -> None:
-    alone = Network(jnp.zeros((1, 1)), GAIN, GAIN)
+    alone = OscillatorNetwork(jnp.zeros((1, 1)), GAIN, GAIN)
     wanted = Modulation(jnp.ones(1), jnp.ones(1), jnp.array([2 * np.pi * 0.7]), jnp.zeros((1, 1)))
     after = advance(alone, wanted, at_rest(jnp.array([0.3])), 3.0, integrator, num_steps=30)
     np.testing.assert_allclose(after.phases, [(0.3 + 2 * np.pi * 0.7 * 3.0) % (2 * np.pi)], atol=1e-4)

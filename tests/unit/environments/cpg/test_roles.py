@@ -5,7 +5,7 @@ import pytest
 
 from core.environments.cpg import oscillators, roles
 from core.environments.cpg.options import CPGOptions
-from core.environments.cpg.oscillators import Network, at_rest
+from core.environments.cpg.oscillators import OscillatorNetwork, at_rest
 from core.environments.cpg.roles import Gait, Role, action_size, decode, encode, roles_under, strengths
 
 advance = jax.jit(oscillators.advance, static_argnames=("integrator", "num_steps"))
@@ -53,7 +53,7 @@ def test_the_stroke_is_behind_the_sweep_by_the_lag_on_both_sides() -> None:
 def lock(played: jax.Array, spread: float = np.pi, seconds: float = 10.0) -> np.ndarray:
     """Phases [2 num_arms] of arms that have long been in these roles."""
     num_arms = len(played)
-    network = Network(jnp.asarray(roles.weights(num_arms, 10.0)), 20.0, 20.0)
+    network = OscillatorNetwork(jnp.asarray(roles.weights(num_arms, 10.0)), 20.0, 20.0)
     phases = jax.random.uniform(jax.random.key(num_arms), (2 * num_arms,), minval=-spread, maxval=spread)
     return np.asarray(
         advance(

@@ -11,22 +11,24 @@ import numpy as np
 from core.physics.compiled.program.arithmetic import Vector
 from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import Model, State, substep
+from core.physics.compiled.substep import Model, SubstepState, substep
 
 FIELDS = ("qpos", "qvel", "act", "qacc")
 
 
-def recorded(model: Model, state: State, ctrl: Vector) -> Callable[[State, Vector], State]:
+def recorded(
+    model: Model, state: SubstepState, ctrl: Vector
+) -> Callable[[SubstepState, Vector], SubstepState]:
     """What `substep` does to states and controls of as many numbers as these, [environments] each."""
     program, shape = Program(), np.shape(state.qpos[0])
     symbols = {name: program.inputs(name, len(getattr(state, name))) for name in FIELDS}
-    moved = substep(model, State(**symbols), program.inputs("ctrl", len(ctrl)))
+    moved = substep(model, SubstepState(**symbols), program.inputs("ctrl", len(ctrl)))
     for name in FIELDS:
         program.output(name, getattr(moved, name))
 
-    def step(state: State, ctrl: Vector) -> State:
+    def step(state: SubstepState, ctrl: Vector) -> SubstepState:
         given = {name: getattr(state, name) for name in FIELDS} | {"ctrl": ctrl}
         found = interpret(program, given)
-        return State(**{name: [np.broadcast_to(x, shape) for x in found[name]] for name in FIELDS})
+        return SubstepState(**{name: [np.broadcast_to(x, shape) for x in found[name]] for name in FIELDS})
 
     return step

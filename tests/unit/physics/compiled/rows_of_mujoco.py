@@ -5,9 +5,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.physics.compiled.constraints.cone import Cone
-from core.physics.compiled.constraints.constraints import State, constraint_rows, read_constraints
+from core.physics.compiled.constraints.constraints import ConstraintState, constraint_rows, read_constraints
 from core.physics.compiled.constraints.laws import Pyramid
-from core.physics.compiled.constraints.rows import Rows, by_group, times
+from core.physics.compiled.constraints.rows import ConstraintRows, by_group, times
 from core.physics.compiled.fields import NOMINAL, Own
 from core.physics.compiled.program.arithmetic import Vector
 from core.physics.compiled.smooth.dynamics import motion
@@ -17,17 +17,17 @@ from core.physics.compiled.smooth.tree import read_tree
 Array = NDArray[np.float64]
 
 
-def rows_of(model: mujoco.MjModel, datas: list[mujoco.MjData], own: Own = NOMINAL) -> Rows:
+def rows_of(model: mujoco.MjModel, datas: list[mujoco.MjData], own: Own = NOMINAL) -> ConstraintRows:
     """Our rows, for all states at once."""
     qpos: Vector = list(np.stack([data.qpos for data in datas], axis=1))
     qvel: Vector = list(np.stack([data.qvel for data in datas], axis=1))
     tree = read_tree(model, own)
     at = poses(tree, qpos)
     moving = motion(tree, at, qvel)
-    return constraint_rows(tree, read_constraints(model, own), at, moving, State(qpos, qvel))
+    return constraint_rows(tree, read_constraints(model, own), at, moving, ConstraintState(qpos, qvel))
 
 
-def ours(rows: Rows, num_states: int, num_dofs: int) -> tuple[Array, Array]:
+def ours(rows: ConstraintRows, num_states: int, num_dofs: int) -> tuple[Array, Array]:
     """Jᵀ D J [states, nv, nv] and Jᵀ D aref [states, nv], with each edge of a pyramid as a row."""
     pressed, pulled = np.zeros((num_states, num_dofs, num_dofs)), np.zeros((num_states, num_dofs))
     entries = [times(rows, list(one)) for one in np.eye(num_dofs)]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import State, read_model, substep
+from core.physics.compiled.substep import SubstepState, read_model, substep
 from core.physics.model import with_solver_of_compiled
 from tests.extra import extra
 from tests.unit.physics.compiled.test_machine_code import run
@@ -59,7 +59,7 @@ class Case:
             model = replace(model, solver=most)
         program = Program()
         qpos, qvel, qacc, ctrl = (program.inputs(name, len(values)) for name, values in self.given.items())
-        moved = substep(model, State(qpos, qvel, [], qacc), ctrl)
+        moved = substep(model, SubstepState(qpos, qvel, [], qacc), ctrl)
         for field in MOVED:
             program.output(field, getattr(moved, field))
         return program
@@ -172,7 +172,7 @@ def test_damping_costs_no_accuracy_on_a_slippery_floor() -> None:
     given = {field: of_all(datas, field) for field in ("qpos", "qvel", "qacc_warmstart")}
     program = Program()
     qpos, qvel, qacc = (program.inputs(name, len(values)) for name, values in given.items())
-    program.output("qvel", substep(ours, State(qpos, qvel, [], qacc), []).qvel)
+    program.output("qvel", substep(ours, SubstepState(qpos, qvel, [], qacc), []).qvel)
     for data in datas:
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(run(program, given)["qvel"], of_all(datas, "qvel"), rtol=0, atol=1e-5)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import State, control_step, read_model
+from core.physics.compiled.substep import SubstepState, control_step, read_model
 from tests.extra import extra
 from tests.unit.physics.compiled.test_machine_code import run
 from tests.unit.physics.compiled.test_substep import THOROUGH
@@ -61,7 +61,7 @@ def moved(
     begun = {name: np.repeat(x[:, None], num_envs, axis=1) for name, x in at_rest.items() if x.size} | given
     program = Program()
     inputs = {name: list(program.inputs(name, len(values))) for name, values in begun.items()}
-    state = State(inputs["qpos"], inputs["qvel"], [], [0.0] * model.nv)
+    state = SubstepState(inputs["qpos"], inputs["qvel"], [], [0.0] * model.nv)
     after = control_step(replace(ours, solver=solver), num_substeps, state, inputs.get("ctrl", []))
     for name in ("qpos", "qvel", "qacc"):
         program.output(name, getattr(after, name))

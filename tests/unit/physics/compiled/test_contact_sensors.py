@@ -15,7 +15,7 @@ from core.physics.compiled.readings.sensors import sensor_values
 from core.physics.compiled.substep import (
     Model,
     Moved,
-    State,
+    SubstepState,
     control_step,
     read_model,
     readings_by_sensor,
@@ -66,7 +66,9 @@ def test_contacts_are_felt_as_in_mujoco(right: str, option: str, default: str) -
     model = converge(meeting(PLANE, FELT_BALL, right, option, default, pair + SENSORS), implicit_damping=True)
     assert uncovered_fields(model, ("sensordata",)) is None
     ours, datas = sensing(model), at_random(model)
-    moved = unmoved(ours, State(of_all(datas, "qpos"), of_all(datas, "qvel"), [], of_all(datas, "qvel")), [])
+    moved = unmoved(
+        ours, SubstepState(of_all(datas, "qpos"), of_all(datas, "qvel"), [], of_all(datas, "qvel")), []
+    )
     theirs = of_all(datas, "sensordata")
     assert sum(np.abs(values).any() for values in theirs) > 4
     for mine, expected in zip(values_of(ours, model, moved), theirs, strict=True):
@@ -82,7 +84,7 @@ def test_the_star_feels_the_ground_of_the_last_substep() -> None:
         data.qpos[:] = initial_qpos(model)
         data.ctrl[:] = generator.uniform(-0.5, 0.5, size=model.nu)
         mujoco.mj_step(model, data, 50)
-    state = State(of_all(datas, "qpos"), of_all(datas, "qvel"), [], of_all(datas, "qacc_warmstart"))
+    state = SubstepState(of_all(datas, "qpos"), of_all(datas, "qvel"), [], of_all(datas, "qacc_warmstart"))
     moved = control_step(ours, 3, state, of_all(datas, "ctrl"))
     for data in datas:
         mujoco.mj_step(model, data, 3)

@@ -10,7 +10,7 @@ import pytest
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.physics.compiled.coverage import uncovered
-from core.physics.compiled.substep import State, read_model
+from core.physics.compiled.substep import SubstepState, read_model
 from tests.extra import extra
 from tests.unit.physics.compiled.recorded_substep import recorded
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
@@ -177,7 +177,9 @@ def assert_moves_as_mujoco(
 ) -> None:
     ours = read_model(model)
     ours = replace(ours, solver=replace(ours.solver, **THOROUGH))
-    state = State(*(of_all(datas, field) for field in ("qpos", "qvel")), [], of_all(datas, "qacc_warmstart"))
+    state = SubstepState(
+        *(of_all(datas, field) for field in ("qpos", "qvel")), [], of_all(datas, "qacc_warmstart")
+    )
     ctrl = of_all(datas, "ctrl")
     step = recorded(ours, state, ctrl)
     assert sum(data.ncon > 0 for data in datas) > len(datas) / 4

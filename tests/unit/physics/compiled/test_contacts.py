@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from core.physics.compiled.constraints.body_rows import BodyGroup
-from core.physics.compiled.constraints.rows import Group, by_group, curvature, pulled_back, times
+from core.physics.compiled.constraints.rows import RowGroup, by_group, curvature, pulled_back, times
 from core.physics.compiled.coverage import uncovered
 from core.physics.compiled.fields import NOMINAL
 from core.physics.compiled.program.arithmetic import Vector
@@ -230,7 +230,7 @@ def test_tendons_rows_are_mujoco_s(own: bool) -> None:
 @pytest.mark.parametrize(
     ("left", "right", "kind"),
     [
-        (BALL, ROD, Group),
+        (BALL, ROD, RowGroup),
         ('<geom type="box" size="0.1 0.2 0.3"/><geom type="box" size="0.3 0.1 0.1"/>', ROD, BodyGroup),
     ],
 )

@@ -13,7 +13,7 @@ from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
 from core.physics.compiled.readings.derived import derived
 from core.physics.compiled.readings.scene import Scene
-from core.physics.compiled.substep import State, read_model, substep
+from core.physics.compiled.substep import SubstepState, read_model, substep
 from core.physics.engine import MODEL_FIELDS
 from core.physics.model import GEOMETRY, model_field
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
@@ -74,7 +74,7 @@ def test_environments_with_fields_of_their_own_move_as_in_mujoco() -> None:
     symbols = {name: list(program.inputs(name, len(values))) for name, values in given.items()}
     read = read_model(model, {name: symbols[name] for name in own})
     *carried, control = (symbols[name] for name in STATE)
-    program.output("qvel", substep(read, State(*carried), control).qvel)
+    program.output("qvel", substep(read, SubstepState(*carried), control).qvel)
     assert_close(interpret(program, given)["qvel"], expected.qvel)
 
 

@@ -20,7 +20,7 @@ from core.physics.compiled.smooth.forces import passive_forces, weight_held
 from core.physics.compiled.smooth.kinematics import poses
 from core.physics.compiled.smooth.rotations import rotation_vector
 from core.physics.compiled.smooth.tendons import tendon_forces, with_armature
-from core.physics.compiled.substep import Model, State, control_step, read_model, substep
+from core.physics.compiled.substep import Model, SubstepState, control_step, read_model, substep
 
 NUM_STATES = 8
 PULLED = """
@@ -87,8 +87,8 @@ def of_all(datas: list[mujoco.MjData], field: str) -> Vector:
     return list(np.stack([getattr(data, field) for data in datas], axis=1))
 
 
-def state_of(datas: list[mujoco.MjData]) -> State:
-    return State(*(of_all(datas, field) for field in ("qpos", "qvel", "act", "qacc_warmstart")))
+def state_of(datas: list[mujoco.MjData]) -> SubstepState:
+    return SubstepState(*(of_all(datas, field) for field in ("qpos", "qvel", "act", "qacc_warmstart")))
 
 
 def assert_close(ours: Vector, theirs: Vector, accuracy: float = 1e-12) -> None:
@@ -109,7 +109,7 @@ class Forces:
     mass: NDArray[np.float64]
 
 
-def forces_of(model: Model, state: State, ctrl: Vector) -> Forces:
+def forces_of(model: Model, state: SubstepState, ctrl: Vector) -> Forces:
     tree = model.tree
     at = poses(tree, state.qpos)
     moving = motion(tree, at, state.qvel)

@@ -9,7 +9,7 @@ from core.physics.compiled.program.arithmetic import Number, sine, sqrt
 from core.physics.compiled.program.flow import repeat, where_needed
 from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import State, control_step, read_model
+from core.physics.compiled.substep import SubstepState, control_step, read_model
 from tests.extra import extra
 from tests.unit.physics.compiled.test_substep import NUM_STATES, converged, of_all, states
 
@@ -65,7 +65,7 @@ def test_two_substeps_in_machine_code_are_two_substeps(name: str) -> None:
     given = {name: of_all(datas, name) for name in fields}
     program = Program()
     qpos, qvel, qacc, ctrl = (program.inputs(name, size) for name, size in fields.items())
-    moved = control_step(read_model(model), 2, State(qpos, qvel, [], qacc), ctrl)
+    moved = control_step(read_model(model), 2, SubstepState(qpos, qvel, [], qacc), ctrl)
     for field in ("qpos", "qvel"):
         program.output(field, getattr(moved, field))
     exact, found = interpret(program, given), run(program, given)

@@ -8,7 +8,7 @@ from core.physics.compiled.program.flow import repeat, where_needed
 from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.needed import needed
 from core.physics.compiled.program.program import Assign, Branch, Program
-from core.physics.compiled.substep import State, read_model, substep
+from core.physics.compiled.substep import SubstepState, read_model, substep
 from tests.unit.physics.compiled.test_substep import converged, of_all, states
 
 
@@ -84,10 +84,10 @@ def test_a_substep_that_was_written_down_is_the_substep(name: str) -> None:
     given = {name: of_all(datas, name) for name in fields}
     program = Program()
     qpos, qvel, qacc, ctrl = (program.inputs(name, size) for name, size in fields.items())
-    moved = substep(ours, State(qpos, qvel, [], qacc), ctrl)
+    moved = substep(ours, SubstepState(qpos, qvel, [], qacc), ctrl)
     for field in ("qpos", "qvel", "qacc"):
         program.output(field, getattr(moved, field))
     qpos, qvel, qacc, ctrl = given.values()
-    found, expected = interpret(program, given), substep(ours, State(qpos, qvel, [], qacc), ctrl)
+    found, expected = interpret(program, given), substep(ours, SubstepState(qpos, qvel, [], qacc), ctrl)
     for field in ("qpos", "qvel", "qacc"):
         np.testing.assert_allclose(found[field], getattr(expected, field), rtol=1e-9, atol=1e-9)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from core.physics.compiled.coverage import uncovered
 from core.physics.compiled.program.arithmetic import Vector
-from core.physics.compiled.substep import Model, State, read_model
+from core.physics.compiled.substep import Model, SubstepState, read_model
 from tests.unit.physics.compiled.random_models import random_model
 from tests.unit.physics.compiled.recorded_substep import recorded
 from tests.unit.physics.compiled.test_substep import THOROUGH, Arrays, converge, of_all
@@ -73,7 +73,7 @@ def errors(ours: Vector, theirs: Arrays) -> NDArray[np.float64]:
     return apart / np.maximum(size, 1e-3)
 
 
-def largest_errors(moved: State, datas: list[mujoco.MjData]) -> NDArray[np.float64]:
+def largest_errors(moved: SubstepState, datas: list[mujoco.MjData]) -> NDArray[np.float64]:
     """Of each state, the largest of its vectors' errors."""
     fields = ("qacc", "qvel", "qpos", *(("act",) if datas[0].act.size else ()))
     return np.max([errors(getattr(moved, field), of_all(datas, field)) for field in fields], axis=0)
@@ -101,10 +101,12 @@ def compare(xml: str) -> Counter[str]:
     return Counter({"states": len(datas), "states with contacts": touching, "late states": late.size})
 
 
-def moved(ours: Model, begun: list[Arrays], chosen: NDArray[np.intp], limits: Mapping[str, Any]) -> State:
+def moved(
+    ours: Model, begun: list[Arrays], chosen: NDArray[np.intp], limits: Mapping[str, Any]
+) -> SubstepState:
     """Some of the states, one step later."""
     *parts, ctrl = ([x[chosen] for x in part] for part in begun)
-    model, state = replace(ours, solver=replace(ours.solver, **limits)), State(*parts)
+    model, state = replace(ours, solver=replace(ours.solver, **limits)), SubstepState(*parts)
     return recorded(model, state, ctrl)(state, ctrl)
 
 

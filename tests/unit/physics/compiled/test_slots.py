@@ -13,7 +13,7 @@ from core.physics.compiled.code.slots import Section, slotted
 from core.physics.compiled.program.arithmetic import Number, cosine, dot, maximum, select, sine, total
 from core.physics.compiled.program.flow import repeat, where_needed
 from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import State, control_step, read_model
+from core.physics.compiled.substep import SubstepState, control_step, read_model
 from tests.extra import extra
 from tests.unit.physics.compiled.test_substep import converged, of_all, states
 
@@ -99,7 +99,7 @@ def test_a_control_step_in_sections_has_the_same_bits(name: str) -> None:
     given = {name: np.transpose(of_all(datas, name)) for name in fields}
     program = Program()
     qpos, qvel, qacc, ctrl = (program.inputs(name, size) for name, size in fields.items())
-    moved = control_step(read_model(model), 3, State(qpos, qvel, [], qacc), ctrl)
+    moved = control_step(read_model(model), 3, SubstepState(qpos, qvel, [], qacc), ctrl)
     for field in ("qpos", "qvel", "qacc"):
         program.output(field, getattr(moved, field))
     whole, parted = outputs(program, given, None), outputs(program, given, 250)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from core.environments import catalog
 from core.physics.choose import engine_builder
-from core.physics.compiled.substep import State, read_model
+from core.physics.compiled.substep import SubstepState, read_model
 from core.physics.engine import Engine, SolverSettings
 from core.physics.model import brax_model, initial_qpos
 from tests.extra import extra
@@ -127,7 +127,7 @@ def test_a_body_on_the_floor_moves_as_in_mujoco(name: str, num_states: int, num_
     model = converge(copy(of_environment(name)[0]), implicit_damping=(QUICK | LARGE)[name])
     datas, ours = states(model, num_states), read_model(model)
     ours = replace(ours, solver=replace(ours.solver, **THOROUGH))
-    state = State(*(of_all(datas, field) for field in ("qpos", "qvel", "act", "qacc_warmstart")))
+    state = SubstepState(*(of_all(datas, field) for field in ("qpos", "qvel", "act", "qacc_warmstart")))
     ctrl = of_all(datas, "ctrl")
     step = recorded(ours, state, ctrl)
     for number in range(1, num_substeps + 1):

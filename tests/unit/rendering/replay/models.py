@@ -5,7 +5,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.rendering.timeline import Motion
+from core.rendering.timeline import EpisodeMotion
 
 # One of each type of geom that needs no file, all of which a viewer shows; the last geom is hidden.
 SHAPES = """
@@ -57,10 +57,10 @@ def model_of(xml: str) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(xml)
 
 
-def rolling(num_states: int = 41, dt: float = 0.025, **also: Any) -> Motion:
+def rolling(num_states: int = 41, dt: float = 0.025, **also: Any) -> EpisodeMotion:
     """The ball of ARM rolls along x for a second, turns about y, and its arm swings."""
     time = dt * np.arange(num_states)
     qpos = np.zeros((num_states, 8))
     qpos[:, 0], qpos[:, 2] = 3 * time, 0.299
     qpos[:, 3], qpos[:, 5], qpos[:, 7] = np.cos(5 * time), np.sin(5 * time), np.sin(7 * time)
-    return Motion(time, qpos, **also)
+    return EpisodeMotion(time, qpos, **also)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from core.algorithms.memory import Memory, Part
+from core.algorithms.memory import MemoryNeed, MemoryPart
 from core.errors import JobFailed
 from core.reasons import Reason
 from worker.host.device import device_memory
@@ -40,9 +40,9 @@ def test_without_the_driver_s_program_nothing_is_known(
 
 
 def test_a_run_that_cannot_fit_ends_before_it_is_made() -> None:
-    check_memory(Memory((Part("tables", 2**20, ("agents",)),)), "cpu")
+    check_memory(MemoryNeed((MemoryPart("tables", 2**20, ("agents",)),)), "cpu")
     with pytest.raises(
         JobFailed, match=r"at least 1 PiB .* this worker's CPU has .* lower agents\."
     ) as failed:
-        check_memory(Memory((Part("tables", 2**50, ("agents",)),)), "cpu")
+        check_memory(MemoryNeed((MemoryPart("tables", 2**50, ("agents",)),)), "cpu")
     assert failed.value.reason == Reason.OUT_OF_MEMORY

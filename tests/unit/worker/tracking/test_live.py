@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from worker.protocol import FileReady
-from worker.tracking.items import VideoFile
+from worker.tracking.items import VideoItem
 from worker.tracking.live import Live
 
 
@@ -20,9 +20,9 @@ def test_h6a_only_plain_files_of_the_spool_are_shown(name: str, tmp_path: Path) 
     (spool / "folder").mkdir()
     (spool / "video.mp4").write_bytes(b"video")
     live: Any = Live.__new__(Live)
-    shown: list[VideoFile] = []
+    shown: list[VideoItem] = []
     live._spool, live._folder, live._put = spool, folder, shown.append
     for path in (name, "video.mp4"):
         live.send(FileReady(name=path, path=path, role="video", media_type="video/mp4", step=3))
-    assert shown == [VideoFile(step=3, path=folder / "video.mp4")]
+    assert shown == [VideoItem(step=3, path=folder / "video.mp4")]
     assert [path.name for path in folder.iterdir()] == ["video.mp4"]

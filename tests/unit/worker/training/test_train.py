@@ -11,7 +11,7 @@ from typing import Any
 import jax.numpy as jnp
 import pytest
 
-from core.algorithms.events import Progress
+from core.algorithms.events import TrainingProgress
 from core.errors import JobFailed
 from core.jobs.spec import JOB_SPEC
 from core.reasons import Reason
@@ -36,7 +36,7 @@ def test_what_was_lost_is_warned_of_once_and_told_each_time(metric: str, words: 
     events = EventWriter(tmp_path, write)
     report = Report(events, small_run(endless()))
     for step, lost in enumerate([0.0, 0.1, 0.2]):
-        report.publish(Progress(step, 3, {metric: lost}))
+        report.publish(TrainingProgress(step, 3, {metric: lost}))
     events._pipe.close()
     with os.fdopen(read, "rb") as pipe:
         said = [json.loads(line) for line in pipe]
@@ -54,7 +54,7 @@ def test_m2_a_training_whose_only_bad_number_is_one_metric_keeps_its_progress(tm
     events = EventWriter(tmp_path, write)
     report = Report(events, small_run(endless()))
     for step, value in enumerate([math.nan, math.inf, 3.0]):
-        report.publish(Progress(step, 3, {"training/bad": value, "training/good": 1.0}))
+        report.publish(TrainingProgress(step, 3, {"training/bad": value, "training/good": 1.0}))
     events._pipe.close()
     with os.fdopen(read, "rb") as pipe:
         said = [MESSAGE.validate_json(line) for line in pipe]

@@ -19,7 +19,7 @@ from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, read
 from core.errors import BadModel, ModelNotFound
 from core.jobs.job import utc_now
 from core.physics import trial
-from core.physics.trial import Difference
+from core.physics.trial import EngineDifference
 from core.storage import keys
 from core.user_models import library
 from core.user_models.record import Description
@@ -30,7 +30,7 @@ from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
 from worker.confinement.confinement import Limits
 from worker.validation import confined, trials
-from worker.validation.answer import Answer, read_answer
+from worker.validation.answer import ModelAnswer, read_answer
 from worker.validation.confined import look, validate
 from worker.validation.findings import findings
 
@@ -52,7 +52,7 @@ URDF = b"""<robot name="arm">
 </robot>"""
 
 
-def looked(body: bytes, folder: Path, limits: Limits | None = None) -> Answer:
+def looked(body: bytes, folder: Path, limits: Limits | None = None) -> ModelAnswer:
     """The last word; and nothing runs on."""
     *_, answer = look(body, folder, folder, limits or Limits())
     assert not [child for child in psutil.Process().children() if str(folder) in child.cmdline()]
@@ -86,9 +86,14 @@ def test_an_engine_that_moves_a_model_otherwise_than_mujoco_does_not_run_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Issue 41: an engine was believed because it loads a model."""
-    differences = {"native": Difference("qpos", 2e-7, 4e-7, 0), "compiled": Difference("qvel", 0.03, 0.2, 0)}
+    differences = {
+        "native": EngineDifference("qpos", 2e-7, 4e-7, 0),
+        "compiled": EngineDifference("qvel", 0.03, 0.2, 0),
+    }
     monkeypatch.setattr(
-        trial, "compare", lambda engine, _: differences.get(engine.name, Difference("qvel", 0.0, 0.0, 7))
+        trial,
+        "compare",
+        lambda engine, _: differences.get(engine.name, EngineDifference("qvel", 0.0, 0.0, 7)),
     )
     for load in ("_load_mjx", "_load_warp"):
         monkeypatch.setattr(trials, load, lambda _: None)
@@ -315,14 +320,14 @@ def test_whoever_accepts_that_has_models_read_in_the_layers_that_hold(
 @pytest.mark.parametrize("kind", ["link", "pipe", "nonsense", "nothing"])
 def test_a_reader_that_was_taken_over_cannot_make_its_worker_read_or_wait(kind: str, tmp_path: Path) -> None:
     secret, said = tmp_path / "secret", tmp_path / "answer.json"
-    secret.write_text(Answer(refusal="secret").model_dump_json())
+    secret.write_text(ModelAnswer(refusal="secret").model_dump_json())
     if kind == "link":
         said.symlink_to(secret)
     elif kind == "pipe":
         os.mkfifo(said)
     elif kind == "nonsense":
         said.write_bytes(b'{"refusal": 7')
-    assert read_answer(said) == Answer()
+    assert read_answer(said) == ModelAnswer()
 
 
 def test_a_confined_process_dies_with_its_worker(tmp_path: Path) -> None:
