@@ -584,7 +584,7 @@ class TestWorkers:
     def test_one_of_another_version_hides_no_other(self, jobs: JobStore, database: Database) -> None:
         for name in ("a", "b"):
             jobs.announce(worker(name), ttl=LEASE)
-        database.change("UPDATE workers SET said = '{\"name\": \"a\"}' WHERE name = 'a'")
+        database.change("UPDATE workers SET document = '{\"name\": \"a\"}' WHERE name = 'a'")
         assert list(jobs.workers()) == [worker("b")]
 
 

@@ -86,7 +86,7 @@ class TestWorkers:
     def test_those_that_cannot_be_read_hide_no_other(self, jobs: JobStore, database: Database) -> None:
         for name in "abcd":
             jobs.announce(worker(name), ttl=LEASE)
-        database.change("UPDATE workers SET said = '{}' WHERE name IN ('a', 'b', 'c')")
+        database.change("UPDATE workers SET document = '{}' WHERE name IN ('a', 'b', 'c')")
         with capture_logs() as said:
             found = [[one.name for one in page.workers] for page in pages(jobs.list_workers, 2)]
         assert found == [[], ["d"]]

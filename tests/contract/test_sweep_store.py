@@ -145,7 +145,7 @@ class TestTrials:
         assert sweeps.trials([sweep.id])[sweep.id] == [first, second]
         elsewhere = {"number", "job", "outcome", "created_at"}
         older = first.model_dump_json(exclude={*elsewhere, "parent", "inherited_steps"})
-        database.change("UPDATE trials SET said = %s WHERE number = 0", older)
+        database.change("UPDATE trials SET document = %s WHERE number = 0", older)
         assert sweeps.trials([sweep.id])[sweep.id] == [first, second]
 
     def test_a_number_begins_once_however_many_start_it(self, sweeps: SweepStore, sweep: Sweep) -> None:

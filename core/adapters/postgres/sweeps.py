@@ -23,7 +23,7 @@ from core.sweeps.sweep import Sweep, SweepMark, SweepPage, SweepStatus, Trial
 
 log = structlog.get_logger()
 
-_FOUND = {"importance", "importance_note", "num_judged"}
+_RESULTS = {"importance", "importance_note", "num_judged"}
 _ACTIVE = ("running", "cancelling")
 
 
@@ -67,10 +67,10 @@ class SweepQueries(Session):
             wanted = wanted.where(sweeps.c.status == status.value)
         if cursor is not None:
             wanted = wanted.where(sweeps.c.id < check_cursor(cursor))
-        said = select(func.coalesce(func.sum(func.octet_length(trials.c.said)), 0)).where(
+        trial_bytes = select(func.coalesce(func.sum(func.octet_length(trials.c.document)), 0)).where(
             trials.c.sweep_id == sweeps.c.id
         )
-        size = func.octet_length(sweeps.c.spec) + said.scalar_subquery()
+        size = func.octet_length(sweeps.c.spec) + trial_bytes.scalar_subquery()
         with self._statements() as connection:
             found = connection.execute(listing.by_bytes(wanted, size, "id")).all()
         page = [_sweep(row) for row in found[:limit]]
@@ -186,29 +186,29 @@ def _num_active(connection: Connection) -> int:
     return connection.execute(wanted).scalar_one()
 
 
-def _digest(*said: ColumnElement[Any]) -> ColumnElement[Any]:
+def _digest(*columns: ColumnElement[Any]) -> ColumnElement[Any]:
     """A digest over all rows of a group; null for a group without trials."""
-    row = func.concat_ws(" ", *said)
+    row = func.concat_ws(" ", *columns)
     return func.md5(func.string_agg(row, aggregate_order_by(literal(","), trials.c.number)))
 
 
 def _values(sweep: Sweep) -> rows.Values:
     """The columns that change with the version."""
-    said = sweep.model_dump(mode="json")
+    document = sweep.model_dump(mode="json")
     return {
         "version": sweep.version,
         "status": sweep.status.value,
-        "spec": json.dumps(said["spec"]),
+        "spec": json.dumps(document["spec"]),
         "message": rows.words(sweep.message),
         "finished_at": sweep.finished_at,
-        "found": json.dumps({name: said[name] for name in _FOUND}),
+        "results": json.dumps({name: document[name] for name in _RESULTS}),
     }
 
 
 def _sweep(row: Row[Any]) -> Sweep:
     """Raises ValueError where another version wrote what this one does not understand."""
     return Sweep.model_validate(
-        {**rows.columns(row), **from_json(row.found), "spec": SWEEP_SPEC.validate_json(row.spec)}
+        {**rows.columns(row), **from_json(row.results), "spec": SWEEP_SPEC.validate_json(row.spec)}
     )
 
 
@@ -218,12 +218,12 @@ def _trial_values(trial: Trial) -> rows.Values:
         "job_id": trial.job,
         "outcome": trial.outcome,
         "created_at": trial.created_at,
-        "said": trial.model_dump_json(exclude={"number", "job", "outcome", "created_at"}),
+        "document": trial.model_dump_json(exclude={"number", "job", "outcome", "created_at"}),
     }
 
 
 def _trial(row: Row[Any]) -> Trial:
-    return Trial.model_validate({**from_json(row.said), **rows.columns(row), "job": row.job_id})
+    return Trial.model_validate({**from_json(row.document), **rows.columns(row), "job": row.job_id})
 
 
 def _refuse(connection: Connection, sweep_id: str) -> NoReturn:

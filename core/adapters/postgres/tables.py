@@ -200,7 +200,7 @@ workers = Table(
     "workers",
     metadata,
     Column("name", Text, primary_key=True),
-    Column("said", Text, nullable=False),
+    Column("document", Text, nullable=False),
     _moment("gone_at", nullable=False),
 )
 
@@ -226,7 +226,7 @@ sweeps = Table(
     _moment("created_at", nullable=False),
     _moment("finished_at"),
     # The importance of its parameters, computed from its trials.
-    Column("found", Text, nullable=False, server_default="{}"),
+    Column("results", Text, nullable=False, server_default="{}"),
     Column("key_hash", Text, unique=True),
     Column("fingerprint", Text),
 )
@@ -243,7 +243,7 @@ trials = Table(
     Column("outcome", Text),
     _moment("created_at", nullable=False),
     # The rest of the record.
-    Column("said", Text, nullable=False),
+    Column("document", Text, nullable=False),
 )
 Index("trials_by_job", trials.c.job_id)
 Index("trials_going", trials.c.sweep_id, postgresql_where=text("outcome IS NULL"))

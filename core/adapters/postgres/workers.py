@@ -25,7 +25,7 @@ _RUNNING = (
     .subquery()
 )
 _PRESENT = (
-    select(workers.c.name, workers.c.said, _RUNNING.c.jobs)
+    select(workers.c.name, workers.c.document, _RUNNING.c.jobs)
     .outerjoin(_RUNNING, _RUNNING.c.worker == workers.c.name)
     .where(workers.c.gone_at > NOW)
     .order_by(workers.c.name)
@@ -36,10 +36,10 @@ class WorkerQueries(Session):
     """A WorkerStore."""
 
     def announce(self, worker: WorkerInfo, ttl: timedelta) -> None:
-        said = {"said": worker.model_dump_json(), "gone_at": NOW + interval(ttl)}
-        write = insert(workers).values(name=worker.name, **said)
+        written = {"document": worker.model_dump_json(), "gone_at": NOW + interval(ttl)}
+        write = insert(workers).values(name=worker.name, **written)
         with self._statements() as connection:
-            connection.execute(write.on_conflict_do_update(index_elements=["name"], set_=said))
+            connection.execute(write.on_conflict_do_update(index_elements=["name"], set_=written))
 
     def withdraw(self, name: str) -> None:
         with self._statements() as connection:
@@ -62,7 +62,7 @@ def _readable(rows: Sequence[Row[Any, Any, Any]]) -> list[WorkerInfo]:
     found: list[WorkerInfo] = []
     for row in rows:
         try:
-            worker = WorkerInfo.model_validate_json(row.said)
+            worker = WorkerInfo.model_validate_json(row.document)
             found.append(worker.model_copy(update={"jobs": tuple(row.jobs or ())}))
         except ValidationError as error:
             log.warning("worker_unreadable", problem=str(error))
