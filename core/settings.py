@@ -155,7 +155,7 @@ class StoreSettings(BaseSettings):
 
 
 class ApiSettings(StoreSettings):
-    """What `python -m api` reads."""
+    """The settings of `python -m api`."""
 
     max_body_bytes: int = Field(2**20, gt=0, description="Largest request body, in bytes.")
     max_model_bytes: int = Field(
@@ -200,7 +200,7 @@ class ApiSettings(StoreSettings):
 
 
 class WorkerSettings(StoreSettings):
-    """What `python -m worker.main` reads."""
+    """The settings of `python -m worker.main`."""
 
     data_dir: Path = Field(description="Folder of this machine's spool, caches and locks.")
     device: str = Field(
@@ -277,7 +277,7 @@ class WorkerSettings(StoreSettings):
 
 
 class ReconcilerSettings(StoreSettings):
-    """What `python -m worker.reconciler` reads."""
+    """The settings of `python -m worker.reconciler`."""
 
     alive_file: AliveFile = None
     lease: Lease = timedelta(seconds=14)

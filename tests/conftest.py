@@ -62,7 +62,7 @@ def own_data_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture
 def compiled_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What this test starts is compiled as the test is, and not as users have it."""
+    """Processes that this test starts compile as the test does, and not as users have it."""
     for name, value in compiling_quickly().items():
         monkeypatch.setenv(name, value)
 
@@ -103,7 +103,7 @@ def servers_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="session")
 def postgres_data(servers_folder: Path) -> Path:
-    """What a PostgreSQL has in its folder after its first start, to be copied: making it takes a second."""
+    """The folder of a PostgreSQL after its first start, to be copied: making it takes a second."""
     with Postgres(servers_folder / "first_postgres", durable=False):
         pass
     return servers_folder / "first_postgres" / "data"

@@ -165,10 +165,10 @@ def _wanted(
     return request, camera
 
 
-def _camera(said: str, cameras: Sequence[str]) -> str | int:
+def _camera(written: str, cameras: Sequence[str]) -> str | int:
     """The camera that a query names, as `camera_choices` calls it."""
-    by_number = said.isdecimal() and said not in cameras
-    number = model_camera(int(said) if by_number else said, cameras)
+    by_number = written.isdecimal() and written not in cameras
+    number = model_camera(int(written) if by_number else written, cameras)
     return camera_choices(cameras)[0 if number is None else number + 1]
 
 

@@ -111,7 +111,7 @@ def _memory_mib(pid: int, name: str) -> float:
 
 
 class Waits:
-    """What `bench.children.healthz` writes down. request_cpu_s: the API's processor time for one request."""
+    """The record of `bench.children.healthz`. request_cpu_s: the API's processor time for one request."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open()

@@ -124,21 +124,21 @@ class _Numbers:
     def __init__(self) -> None:
         self._left = _MOST_VALUES
 
-    def of(self, said: Any, depth: int) -> Any:
+    def of(self, value: Any, depth: int) -> Any:
         self._left -= 1
         if self._left < 0 or depth > _DEEPEST:
             raise ValueError("it holds too much for a policy")
-        if said is None or type(said) in (bool, int, float, str):
-            return said
-        if type(said) is tuple:
-            return tuple(self.of(item, depth + 1) for item in said)
-        if type(said) is dict:
-            return {name: self.of(item, depth + 1) for name, item in said.items()}
-        if type(said) is not _Call:
-            raise ValueError(f"a {type(said).__name__} does not belong in a policy")
-        if said.name in _RECORDS and type(said.state) is dict:
-            return self.of(said.state, depth + 1)
-        return _called(said.name, said.arguments, said.state)
+        if value is None or type(value) in (bool, int, float, str):
+            return value
+        if type(value) is tuple:
+            return tuple(self.of(item, depth + 1) for item in value)
+        if type(value) is dict:
+            return {name: self.of(item, depth + 1) for name, item in value.items()}
+        if type(value) is not _Call:
+            raise ValueError(f"a {type(value).__name__} does not belong in a policy")
+        if value.name in _RECORDS and type(value.state) is dict:
+            return self.of(value.state, depth + 1)
+        return _called(value.name, value.arguments, value.state)
 
 
 def _called(name: Name, arguments: tuple[Any, ...], state: Any) -> Any:

@@ -118,14 +118,14 @@ def tuned(algorithm: str, environment: EnvironmentInfo, device: Device) -> dict[
     """The hyperparameters that are tuned for the environment, under its options, on this device."""
     row = ALGORITHMS[algorithm]
     has_length = "episode_length" in row.spec.model_fields
-    given = {"episode_length": environment.episode_length} if has_length else {}
-    return given | (row.tuned(environment, device).model_dump(exclude_unset=True) if row.tuned else {})
+    options = {"episode_length": environment.episode_length} if has_length else {}
+    return options | (row.tuned(environment, device).model_dump(exclude_unset=True) if row.tuned else {})
 
 
-def environment_options(spec: BaseSpec, environment_id: str, given: Mapping[str, Any]) -> Mapping[str, Any]:
+def environment_options(spec: BaseSpec, environment_id: str, options: Mapping[str, Any]) -> Mapping[str, Any]:
     """The environment's options that a job takes because it leaves them out beside this algorithm."""
     wanted = ALGORITHMS[spec.algorithm()].environment_options(spec, environment_id)
-    return {name: value for name, value in wanted.items() if name not in given}
+    return {name: value for name, value in wanted.items() if name not in options}
 
 
 def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnySpec:

@@ -76,8 +76,8 @@ def collect(
     """
     where = jax.vmap(body_position(envs.environment.model, envs.environment.tracked_body))
 
-    def act(episodes: Episodes, given: Any) -> tuple[Episodes, tuple[Transition, StepOutcomes]]:
-        key, chosen = given
+    def act(episodes: Episodes, step_inputs: Any) -> tuple[Episodes, tuple[Transition, StepOutcomes]]:
+        key, chosen = step_inputs
         action, extras = policy(episodes.state.obs, key)
         fresh = None if starts is None else draw(starts.pool, chosen)
         reached, lost = without_lost(episodes.state, envs.step(episodes.state, action))

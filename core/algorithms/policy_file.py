@@ -45,7 +45,7 @@ class PolicyConfig:
 
 @struct.dataclass
 class PolicyParams:
-    """What Brax saves and its inference functions take, (normaliser, policy, value), and their config.
+    """Brax's saved parameters, which its inference functions take: (normaliser, policy, value), and a config.
 
     Iterates like that triple; a bare triple can replace it if the config is the default.
     """

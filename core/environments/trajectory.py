@@ -144,7 +144,7 @@ def save(path: Path, trajectory: Trajectory) -> None:
 
 
 def load(path: Path) -> Trajectory:
-    """What `save` wrote. Raises ValueError if the file is something else."""
+    """Read the file of `save`. Raises ValueError if the file is something else."""
     with np.load(path, allow_pickle=False) as file:
         if "about" not in file.files:
             raise ValueError(f"{path.name} is not a trajectory: it has no `about`.")

@@ -180,7 +180,7 @@ class Block:
 
     @classmethod
     def decode(cls, body: bytes, first: int, names: Collection[str] | None = None) -> Self:
-        """What `encode` wrote. first: the number of the first row. names: only these metrics; None: all."""
+        """Read the bytes of `encode`. first: the first row's number. names: only these metrics; None: all."""
         block = cls()
         for stored in _decoder.decode(body):
             columns = {

@@ -39,8 +39,8 @@ class Entry(Stored):
 def status_entry(job: Job, time: datetime | None = None) -> Entry:
     """The event for a job's change of status; by default it has just changed."""
     attempt = job.attempts[-1].number if job.attempts else None
-    said = {"status": job.status.value, "reason": job.reason, "message": job.message, "attempt": attempt}
-    return Entry(kind="status", time=time or utc_now(), data=said)
+    change = {"status": job.status.value, "reason": job.reason, "message": job.message, "attempt": attempt}
+    return Entry(kind="status", time=time or utc_now(), data=change)
 
 
 def note_entry(text: str) -> Entry:

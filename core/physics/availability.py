@@ -27,7 +27,7 @@ class BodySize:
 
 @dataclass(frozen=True)
 class Rule:
-    """What `auto` takes: an engine, for at least `least_num_envs` environments. reason: a sentence.
+    """A choice of `auto`: an engine, for at least `least_num_envs` environments. reason: a sentence.
     most: the largest body; None: any.
 
     An environment's row lists its rules for each kind of device (`EnvironmentInfo.rules_on`); the figures in

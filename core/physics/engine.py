@@ -114,9 +114,9 @@ def _from_state_dict(target: PhysicsState, stored: dict[str, Any]) -> PhysicsSta
 serialization.register_serialization_state(PhysicsState, _to_state_dict, _from_state_dict, override=True)
 
 
-def check_model_fields(given: ModelFields) -> None:
+def check_model_fields(chosen: ModelFields) -> None:
     """Raises ValueError for a field that cannot differ between environments."""
-    if unknown := sorted(set(given) - set(MODEL_FIELDS)):
+    if unknown := sorted(set(chosen) - set(MODEL_FIELDS)):
         raise ValueError(f"Environments cannot differ in {unknown}, only in {MODEL_FIELDS}.")
 
 
@@ -178,13 +178,13 @@ class SolverSettings:
         solver: Literal["newton", "cg"] = "newton",
     ) -> "SolverSettings":
         """A job's settings; what it leaves out (None) is 4 iterations, with 8 of line search."""
-        given = {"solver": solver, "iterations": iterations, "ls_iterations": ls_iterations}
+        chosen = {"solver": solver, "iterations": iterations, "ls_iterations": ls_iterations}
         return cls(
             iterations or 4,
             ls_iterations or 8,
             implicit_damping,
             solver,
-            asked=frozenset(name for name, value in given.items() if value is not None),
+            asked=frozenset(name for name, value in chosen.items() if value is not None),
         )
 
 

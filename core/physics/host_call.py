@@ -30,7 +30,7 @@ _functions: dict[str, HostFunction] = {}
 def host_call(
     function: HostFunction, name: str, shapes: Sequence[tuple[int, ...]], *arguments: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """What `function` returns for the arguments: arrays of these shapes; everything is float32.
+    """Call `function` on the host; it returns arrays of these shapes; everything is float32.
 
     Under `jax.vmap` it is called once, and all arrays have the mapped axes in front. It must not call JAX or
     keep its arguments (they are JAX's memory), and must depend on nothing else, so that it does not matter
@@ -40,17 +40,17 @@ def host_call(
     function that the loading process has under that name. Of two functions with one name the first is called.
     """
     results = tuple(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes)
-    given = [jnp.asarray(argument, jnp.float32) for argument in arguments]
+    inputs = [jnp.asarray(argument, jnp.float32) for argument in arguments]
     if jax.default_backend() == "cpu" and _is_registered():
         _functions.setdefault(name, function)
         call = jax.ffi.ffi_call(_TARGET, results, vmap_method="broadcast_all")
-        return tuple(call(*given, name=name))
+        return tuple(call(*inputs, name=name))
 
     def on_the_host(*arrays: Any) -> Sequence[Floats]:
         # JAX's arrays become NumPy's at once, because JAX must not be called in here.
         return tuple(function(*map(np.asarray, arrays)))
 
-    return jax.pure_callback(on_the_host, results, *given, vmap_method="broadcast_all")
+    return jax.pure_callback(on_the_host, results, *inputs, vmap_method="broadcast_all")
 
 
 @cache

@@ -28,7 +28,7 @@ def brax_model(name: str) -> mujoco.MjModel:
 
 
 def brax_spec(name: str) -> mujoco.MjSpec:
-    """What `brax_model` compiles. `settotalmass` is deprecated, so the geoms are scaled instead."""
+    """The source of `brax_model`. `settotalmass` is deprecated, so the geoms are scaled instead."""
     spec = mujoco.MjSpec.from_file(str(_brax_assets() / f"{name}.xml"))
     spec.compiler.fusestatic = True
     total_mass = spec.compiler.settotalmass

@@ -116,17 +116,17 @@ class _Batches:
         self._lock = threading.Lock()
 
     def move(
-        self, move: _Move, given: Mapping[str, Floats], wanted: tuple[str, ...], exact: tuple[str, ...]
+        self, move: _Move, arguments: Mapping[str, Floats], wanted: tuple[str, ...], exact: tuple[str, ...]
     ) -> tuple[Floats, ...]:
-        """The wanted fields after the move, NaN for a broken environment; leading axes as in `given`.
+        """The wanted fields after the move, NaN for a broken environment; leading axes as in `arguments`.
 
         exact: those of both that are in parts.
         """
-        time = given["time"]
+        time = arguments["time"]
         batch_shape = time.shape[:-1] if "time" in exact else time.shape
         with self._lock:
-            batch = self._batch(int(np.prod(batch_shape)), frozenset(MODEL_FIELDS.intersection(given)))
-            for name, values in given.items():
+            batch = self._batch(int(np.prod(batch_shape)), frozenset(MODEL_FIELDS.intersection(arguments)))
+            for name, values in arguments.items():
                 field = batch.expand(name) if name in MODEL_FIELDS else batch.bind(name)
                 whole = of_parts(values) if name in exact else values
                 field[...] = whole.reshape(field.shape)

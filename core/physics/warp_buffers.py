@@ -53,18 +53,18 @@ class WarpBuffers:
         self._kernels = in_advance.submit(self._batch, 1, ()) if wp.is_cuda_available() else None
         in_advance.shutdown(wait=False)
 
-    def move(self, move: Move, own: tuple[str, ...], given: Any, after: Any, overflow: Any) -> None:
-        """given: [N, sum of inputs]; after: [N, sum of outputs]; overflow: [N], bits of OverflowType.
+    def move(self, move: Move, own: tuple[str, ...], before: Any, after: Any, overflow: Any) -> None:
+        """before: [N, sum of inputs]; after: [N, sum of outputs]; overflow: [N], bits of OverflowType.
 
-        own: the fields of the model that `given` holds after the inputs.
+        own: the fields of the model that `before` holds after the inputs.
         """
-        key = (given.device.alias, given.shape[0], own)
+        key = (before.device.alias, before.shape[0], own)
         if key not in self._batches:
             if self._kernels is not None:
                 self._kernels.result()
-            self._batches[key] = self._batch(given.shape[0], own)
+            self._batches[key] = self._batch(before.shape[0], own)
         batch = self._batches[key]
-        wp.copy(batch.given, given)
+        wp.copy(batch.before, before)
         batch.run(move)
         wp.copy(after, batch.after)
         wp.copy(overflow, batch.data.overflow)
@@ -92,7 +92,7 @@ class WarpBuffers:
 class _WorldBatch:
     """Buffers for one number of worlds, and the programs over them: on a GPU, each is one CUDA graph.
 
-    A call copies into `given` and out of `after`, so the graphs stay valid whatever buffers JAX passes.
+    A call copies into `before` and out of `after`, so the graphs stay valid whatever buffers JAX passes.
     fixed_geoms: those that worlds have in other places; None: all have the model's.
     """
 
@@ -109,9 +109,9 @@ class _WorldBatch:
     ) -> None:
         self.data = data
         self._model, self._num_substeps, self._derived = model, num_substeps, derived
-        self.given = wp.zeros((data.nworld, sum(inputs.values())), dtype=wp.float32)
+        self.before = wp.zeros((data.nworld, sum(inputs.values())), dtype=wp.float32)
         self.after = wp.zeros((data.nworld, sum(outputs.values())), dtype=wp.float32)
-        self._loads = self._columns(self.given, inputs)
+        self._loads = self._columns(self.before, inputs)
         self._stores = self._columns(self.after, outputs)
         device = self.data.qpos.device
         self._substep = Substep(model, device, reads_sensors="sensordata" in derived)
@@ -121,7 +121,7 @@ class _WorldBatch:
             load_kernels([step, *([self._forward] if derived else [])], device)
 
     def run(self, move: Move) -> None:
-        """From `given` to `after`."""
+        """From `before` to `after`."""
         program = self._forward if move == "forward" else self._step
         if not self.data.qpos.device.is_cuda:
             program()
@@ -190,9 +190,9 @@ def program(buffers: WarpBuffers, move: Move, own: tuple[str, ...]) -> Callable[
     """
 
     def call(
-        given: wp.array2d[wp.float32], after: wp.array2d[wp.float32], overflow: wp.array[wp.int32]
+        before: wp.array2d[wp.float32], after: wp.array2d[wp.float32], overflow: wp.array[wp.int32]
     ) -> None:
-        buffers.move(move, own, given, after, overflow)
+        buffers.move(move, own, before, after, overflow)
 
     # We capture graphs ourselves: Warp would capture one again for each pair of buffers that JAX passes.
     return wp.jax_callable(

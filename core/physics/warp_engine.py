@@ -37,11 +37,11 @@ class WarpEngine:
         blank = mujoco.MjData(model)
         self._num_ctrl, self._num_act = model.nu, model.na
         self._shapes = {name: np.shape(getattr(blank, name)) for name in (*_CARRIED, *derived)}
-        given = {name: np.asarray(getattr(blank, name), np.float32).ravel() for name in (*_CARRIED, "ctrl")}
-        self._blank = np.concatenate(list(given.values()))
+        before = {name: np.asarray(getattr(blank, name), np.float32).ravel() for name in (*_CARRIED, "ctrl")}
+        self._blank = np.concatenate(list(before.values()))
         self.model = model
         # Fields without elements are not copied.
-        inputs = {name: values.size for name, values in given.items() if values.size}
+        inputs = {name: values.size for name, values in before.items() if values.size}
         outputs = {name: size for name, shape in self._shapes.items() if (size := int(np.prod(shape)))}
         try:
             self._buffers = WarpBuffers(model, num_substeps, inputs, outputs, derived)
@@ -86,11 +86,11 @@ class WarpEngine:
     def _moved(self, move: Move, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
         own = {name: values for name, values in sorted(state.model.items()) if values.size}
         fields = [getattr(state, name) for name in _CARRIED]
-        given = jnp.concatenate([jnp.ravel(field) for field in (*fields, ctrl, *own.values())])
+        before = jnp.concatenate([jnp.ravel(field) for field in (*fields, ctrl, *own.values())])
         # A broken world could use up the others' room, so one at the model's qpos0 is stepped in its place.
-        was_sound = _is_sound(given)
+        was_sound = _is_sound(before)
         rows, bits = self._program(move, tuple(own))(
-            jnp.where(was_sound, given, self._blank_with(tuple(own)))[None],
+            jnp.where(was_sound, before, self._blank_with(tuple(own)))[None],
             output_dims={"after": (1, self._num_outputs), "overflow": (1,)},
         )
         is_sound = was_sound & _is_sound(rows[0, : self._num_carried])

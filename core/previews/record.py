@@ -32,8 +32,8 @@ class PreviewRequest(Stored):
     @property
     def id(self) -> str:
         """Equal for requests with equal stills."""
-        said = [_SCENE_VERSION, version("gaitway"), self.model_dump(mode="json")]
-        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+        parts = [_SCENE_VERSION, version("gaitway"), self.model_dump(mode="json")]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     @property
     def subject(self) -> str:

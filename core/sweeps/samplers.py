@@ -150,16 +150,16 @@ def _params(spec: SweepSpec, trial: Trial) -> dict[str, Any]:
 
 def _frozen(spec: SweepSpec, space: dict[str, "BaseDistribution"], one: SeenTrial) -> "FrozenTrial":
     trial, state = one.trial, optuna.trial.TrialState
-    said: dict[str, Any] = {"state": state.FAIL}
+    state_fields: dict[str, Any] = {"state": state.FAIL}
     if trial.outcome is None:
-        said = {"state": state.RUNNING}
+        state_fields = {"state": state.RUNNING}
     elif trial.outcome == "pruned":
         curve = one.curve or {trial.steps: trial.values[0]} if trial.has_values else {}
-        said = {"state": state.PRUNED, "intermediate_values": dict(curve)}
+        state_fields = {"state": state.PRUNED, "intermediate_values": dict(curve)}
     elif trial.outcome == "succeeded" and trial.has_values:
-        said = {"state": state.COMPLETE, "values": list(trial.values)}
+        state_fields = {"state": state.COMPLETE, "values": list(trial.values)}
     return optuna.trial.create_trial(
         params=_params(spec, trial),
         distributions=space,
-        **said,
+        **state_fields,
     )

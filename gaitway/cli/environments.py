@@ -37,11 +37,11 @@ def environments(
     if environment is None:
         _list(client, family, as_json)
         return
-    given: dict[str, Any] = {}
+    chosen: dict[str, Any] = {}
     for text in options or ():
-        assigned(given, option(text))
-    name_to_model(client, given)
-    found = client.environment(environment, given)
+        assigned(chosen, option(text))
+    name_to_model(client, chosen)
+    found = client.environment(environment, chosen)
     if as_json:
         print_json(found)
     else:
@@ -113,15 +113,15 @@ def preview(  # noqa: PLR0913 # A command line's options.
     pixels = re.fullmatch(r"(\d{1,4})x(\d{1,4})", size)
     if pixels is None:
         raise wrong_usage(f"--size {size}: write it as 640x480.")
-    given: dict[str, Any] = {}
+    chosen: dict[str, Any] = {}
     for text in options or ():
-        assigned(given, option(text))
+        assigned(chosen, option(text))
     client = client_of(context)
-    name_to_model(client, given)
+    name_to_model(client, chosen)
     pictures = client.preview(
         environment,
         output,
-        options=given,
+        options=chosen,
         camera=camera,
         show=show or (),
         size=(int(pixels[1]), int(pixels[2])),

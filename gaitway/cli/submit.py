@@ -165,9 +165,9 @@ def _put_given(spec: dict[str, Any], fields: Mapping[str, Any]) -> None:
 
 
 def _leave_out_the_video(spec: dict[str, Any], of_video: Mapping[str, Any]) -> None:
-    said = [path.removeprefix("video.") for path, value in of_video.items() if value not in (None, [])]
-    if said:
-        raise wrong_usage(f"--no-video leaves nothing for {', '.join(said)} to say; leave one of them out.")
+    fields = [path.removeprefix("video.") for path, value in of_video.items() if value not in (None, [])]
+    if fields:
+        raise wrong_usage(f"--no-video leaves nothing for {', '.join(fields)} to say; leave one of them out.")
     spec["video"] = None
 
 
@@ -246,9 +246,9 @@ def rollout(  # noqa: PLR0913 # A command line's options.
     policy |= {} if step is None else {"step": step}
     policy |= {"which": "best"} if best else {}
     policy |= {} if policy_seed is None else {"seed": policy_seed}
-    said = {"num_episodes": episodes, "num_steps": num_steps, "seed": seed, "name": name}
+    fields = {"num_episodes": episodes, "num_steps": num_steps, "seed": seed, "name": name}
     spec: dict[str, Any] = {"kind": "rollout", "policy": policy}
-    spec |= {field: value for field, value in said.items() if value is not None}
+    spec |= {field: value for field, value in fields.items() if value is not None}
     if no_video:
         spec["video"] = None
     for text in assignments or ():

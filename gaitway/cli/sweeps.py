@@ -99,9 +99,9 @@ def resume(  # noqa: PLR0913 # A command line's options.
     as_json: AsJson = False,
 ) -> None:
     """Continue a sweep under another budget."""
-    said = {"jobs": jobs, "parallel": parallel, "steps": steps, "gpu_hours": gpu_hours}
+    bounds = {"jobs": jobs, "parallel": parallel, "steps": steps, "gpu_hours": gpu_hours}
     client = client_of(context)
-    budget = {name: value for name, value in said.items() if value is not None}
+    budget = {name: value for name, value in bounds.items() if value is not None}
     _told(client.resume_sweep(_id(client, sweep), **budget), as_json)
 
 

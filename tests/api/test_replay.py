@@ -48,7 +48,7 @@ def test_a_replay_that_may_come_says_when_to_ask_again(stack: Stack) -> None:
 
 
 def ended(stack: Stack, *roles: str, **spec: Any) -> str:
-    """What the service says of the replay of a job that ended with these files."""
+    """The service's answer about the replay of a job that ended with these files."""
     attempt = Attempt(stack, job(ID, **spec))
     for role in roles:
         attempt.keep(f"{role}.npz", b"numbers", role=role, media_type="application/octet-stream")

@@ -344,7 +344,7 @@ class TestListing:
 
 
 class TestNames:
-    """What jobs name: models, checkpoints of other jobs, objects."""
+    """The things that jobs name: models, checkpoints of other jobs, objects."""
 
     def test_unfinished_jobs_use_a_model(self, jobs: JobStore) -> None:
         model = {"id": "mjcf", "options": {"model": MODEL}}

@@ -34,7 +34,7 @@ SPEC = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", "max_att
 
 @dataclass
 class Known:
-    """What an observer outside remembers of a job."""
+    """An observer's memory of a job."""
 
     job: Job
     claims: list[Claim] = field(default_factory=list[Claim])

@@ -256,7 +256,7 @@ class TestLostRequests:
 
 
 class TestAttempts:
-    """What a worker does when it does not know whether it was heard."""
+    """Do as a worker that does not know whether it was heard."""
 
     @pytest.fixture
     def objects(self) -> MemoryObjectStore:

@@ -125,7 +125,7 @@ def silenced(server: Postgres) -> Iterator[None]:
 
 
 def refusal(call: Callable[[], object]) -> tuple[str, float]:
-    """What the call says, and after how many seconds."""
+    """The call's error, and after how many seconds it came."""
     begun = time.monotonic()
     with pytest.raises(RecordsUnavailable, match="GAITWAY_DATABASE_URL") as caught:
         call()
@@ -134,7 +134,7 @@ def refusal(call: Callable[[], object]) -> tuple[str, float]:
 
 
 def eventually(call: Callable[[], object]) -> object:
-    """What it gives as soon as the record can be reached."""
+    """The call's result as soon as the record can be reached."""
     until = time.monotonic() + 10
     while True:
         try:

@@ -84,7 +84,7 @@ class Crashing:
 
 @dataclass(frozen=True)
 class Process:
-    """What a process of the service works with."""
+    """The stores and queue that a process of the service works with."""
 
     store: Any
     objects: Any

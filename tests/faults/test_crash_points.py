@@ -365,5 +365,5 @@ def _problems_of_feeds(real: Process, job: Job) -> Iterator[str]:
 
 
 def _may_stay(real: Process, job_id: str) -> set[str]:
-    """What the record names."""
+    """The keys that the record names."""
     return set(real.store.objects_named([job_id]))

@@ -126,7 +126,7 @@ def evaluated(bench: Bench) -> Job:
 
 
 def went_on(bench: Bench, job: Job) -> Artifact:
-    """What the next attempt kept of the best policy that it was given."""
+    """The best policy that the next attempt kept."""
     wait_until(lambda: bench.store.now() >= (job.not_before or job.created_at))
     bench.supervisor(job, "shows_the_best_before").run()
     kept = bench.store.get(job.id).newest("policy")

@@ -273,7 +273,7 @@ class LostAnswers:
 
 
 class TestLostAnswers:
-    """What is sent again changes nothing."""
+    """A write that is sent again changes nothing."""
 
     @pytest.fixture
     def service(self, store: PostgresJobStore) -> Service:

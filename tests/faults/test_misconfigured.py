@@ -170,7 +170,7 @@ def environment(stores: Stores, monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
 
 
 def doctor() -> dict[str, dict[str, str]]:
-    """What `gaitway doctor` finds, by name."""
+    """The findings of `gaitway doctor`, by name."""
     result = CliRunner().invoke(app, ["doctor", "--json"])
     document = json.loads(result.stdout)
     assert document["ok"] == (result.exit_code == 0)

@@ -27,7 +27,7 @@ TWO = {"kind": "actions", "actions": [[-1.0], [1.0]]}
 
 
 def values(run: Run[Any], environment: Any, *observations: float, **changes: Any) -> np.ndarray:
-    """What each choice is worth where each of these is seen, [observations, choices]."""
+    """The value of each choice at each observation, [observations, choices]."""
     settings = dqn_settings(**changes)
     assert settings.action_set is not None
     action_set = make_action_set(settings.action_set, environment)

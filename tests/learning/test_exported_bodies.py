@@ -25,7 +25,7 @@ NUM_ENVS, NUM_STEPS = 20, 50
 
 
 def some_states(environment: Environment) -> Numbers:
-    """What is observed in 20 episodes of random actions, [1000, observation_size]."""
+    """The observations of 20 episodes of random actions, [1000, observation_size]."""
 
     def step(state: Any, key: jax.Array) -> tuple[Any, jax.Array]:
         actions = jax.random.uniform(key, (NUM_ENVS, environment.action_size), minval=-1.0, maxval=1.0)

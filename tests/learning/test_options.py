@@ -22,7 +22,7 @@ pytestmark = pytest.mark.extra
 
 
 def value(run: Run[Any], observation: object, observation_size: object = 1, **changes: object) -> float:
-    """What the trained value network says of an observation."""
+    """The trained value network's value of an observation."""
     normalizer, _, parameters = policy_from_checkpoint(run.checkpoint())
     network = make_networks(observation_size, 1, small_settings(**changes)).value_network
     return float(network.apply(normalizer, parameters, observation))

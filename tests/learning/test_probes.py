@@ -13,7 +13,7 @@ from tests.learning.runs import last_evaluation, small_run, small_settings
 
 
 def value(run: Run[Any], observation: float) -> float:
-    """What the trained value network says of an observation."""
+    """The trained value network's value of an observation."""
     normalizer, _, parameters = policy_from_checkpoint(run.checkpoint())
     network = make_networks(1, 1, small_settings()).value_network
     return float(network.apply(normalizer, parameters, jnp.array([observation])))

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("compiled_for_longer_runs")
 
 
 def value(run: Run[Any], observation: float, action: float = 0.0) -> float:
-    """What both critics expect on average."""
+    """The mean of both critics."""
     params = FORMAT.read(run.checkpoint())[1]["params"]
     networks = make_networks(1, 1, sac_settings())
     seen, acted = jnp.array([[observation]]), jnp.array([[action]])

@@ -86,7 +86,7 @@ def test_a_second_process_compiles_no_program_with_native_physics_whatever_numbe
 
 
 def start(cache: Path, algorithm: str, changes: dict[str, Any]) -> dict[str, Any]:
-    """What a process says that trains with these changes."""
+    """The output of a process that trains with these changes."""
     said = subprocess.run(
         [sys.executable, "-m", "tests.learning.start_process", str(cache), algorithm, json.dumps(changes)],
         env={**os.environ, **compiling_quickly(), "JAX_PLATFORMS": "cpu"},

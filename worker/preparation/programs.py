@@ -53,20 +53,24 @@ def prepare(
     name = f"{cached_as(chosen)}-{version('gaitway')}-{fingerprint(device)}"
     done, own = folder / PREPARED / name, folder / SPOOLS / f"prepare-{name}"
     # One of the workers with equal devices prepares; the others wait for its spool.
-    with spool(own), tempfile.TemporaryFile() as said:
+    with spool(own), tempfile.TemporaryFile() as output:
         if done.exists():
             return
         caches = Caches(objects, settings, device, own, private(own))
         caches.open(chosen, _never)
         (own / "task.json").write_text(task.model_dump_json())
         variables = {**environment(device, folder, os.environ), variable("models"): settings.models}
-        pipes = (said.fileno(), *slot_fds)
+        pipes = (output.fileno(), *slot_fds)
         child = launch(
-            [*command, str(own), str(said.fileno())], variables, stdout=subprocess.DEVNULL, cwd=own, fds=pipes
+            [*command, str(own), str(output.fileno())],
+            variables,
+            stdout=subprocess.DEVNULL,
+            cwd=own,
+            fds=pipes,
         )
         sacrifice(child.pid)
         if status := child.wait():
-            log.warning("not_prepared", environment=environment_id, status=status, detail=_last_line(said))
+            log.warning("not_prepared", environment=environment_id, status=status, detail=_last_line(output))
             return
         caches.keep()
         caches.close(_never)
@@ -80,8 +84,8 @@ def _task(environment_id: str, device: str) -> Task:
     return Task(job_id="preparation", attempt=1, spec=TrainSpec.model_validate(document), device=device)
 
 
-def _last_line(said: IO[bytes]) -> str:
-    return tail(said, 2**12).rstrip().rpartition("\n")[2]
+def _last_line(output: IO[bytes]) -> str:
+    return tail(output, 2**12).rstrip().rpartition("\n")[2]
 
 
 def _never() -> bool:

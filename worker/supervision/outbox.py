@@ -170,9 +170,9 @@ class Outbox:
             "logs", [Entry(kind="line", time=item.time, data={"text": item.what}) for item in lines], write_id
         )
 
-    def _store_said(self, said: Sequence[_Received], write_id: str) -> None:
+    def _store_said(self, messages: Sequence[_Received], write_id: str) -> None:
         entries, progress, newest = list[Entry](), self._progress, dict(self._newest)
-        for item in said:
+        for item in messages:
             if isinstance(item.what, Measured):
                 newest = _with_newest(newest, item.what)
             progress = _advanced(progress, item.what, newest)
@@ -206,20 +206,20 @@ class Outbox:
                 artifact = self._upload(message, file)
         except NotPlain as error:  # Only a process that was taken over names one.
             log.warning("file_not_kept", job_id=self._claim.job_id, name=message.name, error=str(error))
-            said = {"text": f"The training's file {message.name[:100]} was not kept: it is no plain file."}
-            self._record("events", [Entry(kind="note", time=heard_at, data=said)], write_id)
+            data = {"text": f"The training's file {message.name[:100]} was not kept: it is no plain file."}
+            self._record("events", [Entry(kind="note", time=heard_at, data=data)], write_id)
             return
         seconds = time.monotonic() - began
         _, dropped = self._claim.publish((artifact,), self._keep_checkpoints)
-        said = {
+        data = {
             "name": message.name,
             "role": message.role,
             "step": message.step,
             "upload_s": round(seconds, 4),
         }
         if message.role == "best_policy":
-            said["return"] = message.metadata.get("return")
-        self._record("events", [Entry(kind="artifact", time=heard_at, data=said)], write_id)
+            data["return"] = message.metadata.get("return")
+        self._record("events", [Entry(kind="artifact", time=heard_at, data=data)], write_id)
         (self._spool / message.path).unlink(missing_ok=True)
         self._remove_later(dropped)
 

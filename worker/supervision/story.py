@@ -153,8 +153,8 @@ def _value(value: Any) -> str:
 
 def _evaluated(values: Mapping[str, float | None]) -> str:
     found = {name: value for name in _EVALUATED if (value := values.get(name)) is not None}
-    said = [_EVALUATED[name].format(value) for name, value in found.items()]
-    return ", ".join(said).replace(", ±", " ±") or "evaluated"
+    sentences = [_EVALUATED[name].format(value) for name, value in found.items()]
+    return ", ".join(sentences).replace(", ±", " ±") or "evaluated"
 
 
 def _size(num_bytes: int) -> str:

@@ -69,10 +69,10 @@ def kept_with_tables(
 @contextmanager
 def _drawing(events: EventWriter, arguments: Sequence[str]) -> Generator[list[str]]:
     """Runs the process beside the block; then the list holds the words it printed. A failure is a note."""
-    said: list[str] = []
+    notes: list[str] = []
     if find_spec("matplotlib") is None:
         events.send(Noted(text=_NO_MATPLOTLIB))
-        yield said
+        yield notes
         return
     with launch(
         [*_PLOTTING, *arguments],
@@ -82,12 +82,12 @@ def _drawing(events: EventWriter, arguments: Sequence[str]) -> Generator[list[st
         in_own_session=False,
     ) as process:
         try:
-            yield said
+            yield notes
             words, errors = collect(process, _TIMEOUT_S)
         except subprocess.TimeoutExpired:
             words, errors = "", f"it was not ready within {_TIMEOUT_S:g} s"
         finally:
             kill(process)
-    said += words.split()
+    notes += words.split()
     if process.returncode != 0:
         events.send(Noted(text=f"There is no picture of the {arguments[0]}: {last_line(errors)}"))

@@ -88,8 +88,8 @@ def _dispatch(task: Task, events: EventWriter, stopping: StopRequest) -> bool:
 @contextmanager
 def _without_warnings_of_warp() -> Generator[None]:
     """Drops what MJX prints at import when its optional engine is missing, which is no error."""
-    with redirect_stdout(io.StringIO()) as said:
+    with redirect_stdout(io.StringIO()) as output:
         yield
     sys.stdout.writelines(
-        f"{line}\n" for line in said.getvalue().splitlines() if not line.startswith("Failed to import ")
+        f"{line}\n" for line in output.getvalue().splitlines() if not line.startswith("Failed to import ")
     )

@@ -47,13 +47,13 @@ _NUM: dict[Channel, Column[int]] = {"events": jobs.c.num_events, "logs": jobs.c.
 _WRITTEN = """
     written AS (
         INSERT INTO entries (job_id, channel, number, kind, time, data)
-        SELECT :job_id, :channel, last_before + said.place, said.kind, said.time, said.data
+        SELECT :job_id, :channel, last_before + entry.place, entry.kind, entry.time, entry.data
         FROM grown, unnest(CAST(:places AS bigint[]), CAST(:kinds AS text[]), CAST(:times AS timestamptz[]),
-            CAST(:data AS text[])) AS said (place, kind, time, data)
+            CAST(:data AS text[])) AS entry (place, kind, time, data)
     ), measured AS (
         INSERT INTO metrics (job_id, first, last, block)
-        SELECT :job_id, last_before + :first, last_before + :last, said.block
-        FROM grown, CAST(:block AS bytea) AS said (block) WHERE said.block IS NOT NULL
+        SELECT :job_id, last_before + :first, last_before + :last, metrics.block
+        FROM grown, CAST(:block AS bytea) AS metrics (block) WHERE metrics.block IS NOT NULL
     )
 """
 # Writing to a feed and reading it are one statement each: most of the time went into round trips.
@@ -149,11 +149,11 @@ class _EntryBatch:
     size: about as many bytes as it has.
     """
 
-    def __init__(self, said: Iterable[Entry] = ()) -> None:
+    def __init__(self, batch: Iterable[Entry] = ()) -> None:
         self.count = self.size = 0
-        self._said: dict[str, list[Any]] = {"places": [], "kinds": [], "times": [], "data": []}
+        self._texts: dict[str, list[Any]] = {"places": [], "kinds": [], "times": [], "data": []}
         self._measured = Block()
-        for entry in said:
+        for entry in batch:
             self.add(entry)
 
     def add(self, entry: Entry) -> None:
@@ -164,16 +164,16 @@ class _EntryBatch:
             return
         data = to_json(entry.data, inf_nan_mode="null").decode()
         for name, value in zip(
-            self._said, (self.count, entry.kind, entry.time.isoformat(), data), strict=True
+            self._texts, (self.count, entry.kind, entry.time.isoformat(), data), strict=True
         ):
-            self._said[name].append(value)
+            self._texts[name].append(value)
         self.size += len(data)
 
     def values(self) -> dict[str, Any]:
         """The parameters of `_WRITTEN`, but for the job and the channel."""
         block = self._measured
         body = block.encode() if block.tables else None
-        return {"count": self.count, **self._said, "first": block.first, "last": block.last, "block": body}
+        return {"count": self.count, **self._texts, "first": block.first, "last": block.last, "block": body}
 
 
 class _Found:
@@ -222,14 +222,14 @@ class FeedQueries(Session):
     def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
         channels: list[Channel] = [channel, "metrics"] if channel == "events" else [channel]
         found = self._read(job_id, channels, after, limit, _STREAM_BYTES)
-        said = [_entry_of(*entry) for entry in found.entries]
+        part = [_entry_of(*entry) for entry in found.entries]
         for first, block in found.blocks:
-            said += metrics_entries(Block.decode(block, first).after(after))
-        said = sorted((entry for entry in said if int(entry.id) <= found.last), key=lambda one: int(one.id))
+            part += metrics_entries(Block.decode(block, first).after(after))
+        part = sorted((entry for entry in part if int(entry.id) <= found.last), key=lambda one: int(one.id))
         last, is_end = found.last, found.is_end
-        if len(said) > limit:
-            said, last, is_end = said[:limit], int(said[limit - 1].id), False
-        return FeedPart(found.chunks, said, found.status, last, is_end)
+        if len(part) > limit:
+            part, last, is_end = part[:limit], int(part[limit - 1].id), False
+        return FeedPart(found.chunks, part, found.status, last, is_end)
 
     def feed_metrics(self, job_id: str, *, after: int = 0) -> MetricsPart:
         found = self._read(job_id, ["metrics"], after, _MAX_BLOCKS, _BLOCK_BYTES)
@@ -251,7 +251,7 @@ class FeedQueries(Session):
         size = func.sum(func.octet_length(entries.c.data))
         is_old = func.min(entries.c.stored_at) < NOW - max_age
         has_ended = func.bool_and(jobs.c.status.notin_(UNFINISHED))
-        said = (
+        events_and_logs = (
             select(entries.c.job_id, entries.c.channel)
             .join(jobs, jobs.c.id == entries.c.job_id)
             .group_by(entries.c.job_id, entries.c.channel)
@@ -263,7 +263,7 @@ class FeedQueries(Session):
             .group_by(metrics.c.job_id)
             .having(or_(func.sum(func.octet_length(metrics.c.block)) >= max_metrics_bytes, has_ended))
         )
-        due = union_all(said, measured).order_by("job_id").limit(_MAX_DUE)
+        due = union_all(events_and_logs, measured).order_by("job_id").limit(_MAX_DUE)
         with self._transaction() as connection:
             return [(row.job_id, row.channel) for row in connection.execute(due)]
 
@@ -313,18 +313,18 @@ class FeedQueries(Session):
             connection.execute(known.values(key=found.key, size=found.size, sha256=found.sha256))
 
 
-def append(connection: Connection, job_id: str, channel: Channel, said: Sequence[Entry]) -> None:
+def append(connection: Connection, job_id: str, channel: Channel, added: Sequence[Entry]) -> None:
     """Number the entries and store them."""
-    append_all(connection, job_id, channel, [_EntryBatch(said).values()])
+    append_all(connection, job_id, channel, [_EntryBatch(added).values()])
 
 
 @contextmanager
-def prepared(said: Iterable[Entry]) -> Generator[Iterator[dict[str, Any]]]:
+def prepared(feed: Iterable[Entry]) -> Generator[Iterator[dict[str, Any]]]:
     """Any number of entries, read now, and ready to be appended in batches: a file holds them, so that the
     transaction waits for nobody. Raises StorageUnavailable where this machine has no room for it."""
     with TemporaryFile(prefix="gaitway-feed-") as file:
         try:
-            for batch in _batches(said):
+            for batch in _batches(feed):
                 body = msgspec.msgpack.encode(batch.values())
                 file.write(len(body).to_bytes(8) + body)
             file.seek(0)
@@ -344,10 +344,10 @@ def append_all(
         )
 
 
-def _batches(said: Iterable[Entry]) -> Iterator[_EntryBatch]:
+def _batches(feed: Iterable[Entry]) -> Iterator[_EntryBatch]:
     """The entries in batches of which each is one statement."""
     batch = _EntryBatch()
-    for entry in said:
+    for entry in feed:
         batch.add(entry)
         if batch.count == _BATCH or batch.size > _BATCH_BYTES:
             yield batch

@@ -80,13 +80,13 @@ class JobQueries(Session):
     ) -> bool:
         try:
             with (
-                feeds.prepared(events) as said,
+                feeds.prepared(events) as ready,
                 feeds.prepared(logs) as printed,
                 self._transaction(is_large=True) as connection,
             ):
                 if not add_job(connection, job, idempotency):
                     return False
-                feeds.append_all(connection, job.id, "events", said)
+                feeds.append_all(connection, job.id, "events", ready)
                 feeds.append_all(connection, job.id, "logs", printed)
         except IntegrityError as error:
             if isinstance(error.orig, UniqueViolation):
@@ -222,16 +222,16 @@ def _insertion(names: tuple[str, ...], *, has_key: bool) -> Any:
 
 
 def _new_key() -> Any:
-    said: dict[str, Any] = {
+    key_values: dict[str, Any] = {
         "fingerprint": bindparam("fingerprint"),
         "job_id": bindparam("id"),
         "forgotten_at": NOW + KEYS_REMEMBERED,
     }
     return (
         insert(idempotency_keys)
-        .values(key_hash=bindparam("key_hash"), **said)
+        .values(key_hash=bindparam("key_hash"), **key_values)
         .on_conflict_do_update(
-            index_elements=["key_hash"], set_=said, where=idempotency_keys.c.forgotten_at <= NOW
+            index_elements=["key_hash"], set_=key_values, where=idempotency_keys.c.forgotten_at <= NOW
         )
         .returning(idempotency_keys.c.job_id)
         .cte("key")

@@ -151,12 +151,12 @@ def _waiting(
     found = of_queue.lateral("found")
     ordered = select(found).select_from(wanted.join(found, true())).order_by(wanted.c.place, found.c.id)
     without = due.where(jobs.c.queue.is_(None)).order_by(jobs.c.id).limit(max(room.values(), default=0))
-    said = {
+    parameters = {
         "names": list(room),
         "rooms": list(room.values()),
         "but_not": [f"{job_id} {attempt}" for job_id, attempt in but_not],
     }
-    rows = [*connection.execute(ordered, said), *connection.execute(without, said)]
+    rows = [*connection.execute(ordered, parameters), *connection.execute(without, parameters)]
     return [Dispatch("attempt", *row) for row in rows]
 
 

@@ -115,13 +115,13 @@ def _values(record: ModelRecord) -> dict[str, Any]:
 
 
 def _record(row: Row[Any]) -> ModelRecord:
-    said = columns(row)
-    found = said.pop("description")
+    fields = columns(row)
+    found = fields.pop("description")
     try:
         description = None if found is None else Description.model_validate_json(found)
-        return ModelRecord.model_validate({**said, "description": description})
+        return ModelRecord.model_validate({**fields, "description": description})
     except ValidationError as error:
         log.warning("model_unreadable", model=row.id, problem=str(error))
         # Refused today, not earlier: old refusals are deleted, and another version may understand this one.
-        said |= {"status": "refused", "message": _UNREADABLE, "refused_at": datetime.now(UTC)}
-        return ModelRecord.model_validate({**said, "description": None})
+        fields |= {"status": "refused", "message": _UNREADABLE, "refused_at": datetime.now(UTC)}
+        return ModelRecord.model_validate({**fields, "description": None})

@@ -109,9 +109,9 @@ def _text(value: object) -> str | None:
 
 
 def attempt_values(job_id: str, attempt: Attempt) -> Values:
-    said = attempt.model_dump()
+    fields = attempt.model_dump()
     return {
-        **said,
+        **fields,
         "job_id": job_id,
         "message": words(attempt.message),
         "details": json.dumps(attempt.model_dump(mode="json")["details"]),

@@ -91,14 +91,14 @@ def facts(engine: Engine) -> Facts:
     """Raises RecordsUnavailable, RecordsRefuse."""
     with Breaker().reaching(), engine.connect() as connection:
         names = ("server_version", "fsync", "full_page_writes", "synchronous_commit")
-        said = [connection.execute(text(f"SHOW {name}")).scalar_one() for name in names]
+        settings = [connection.execute(text(f"SHOW {name}")).scalar_one() for name in names]
         revision = current(connection)
     return Facts(
-        server=said[0].split()[0],
+        server=settings[0].split()[0],
         revision=revision,
         newest=known()[-1],
         is_known=revision is None or revision in known(),
-        is_durable="off" not in said[1:],
+        is_durable="off" not in settings[1:],
     )
 
 

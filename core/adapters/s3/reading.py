@@ -166,9 +166,9 @@ def _close(answer: Future[BaseHTTPResponse]) -> None:
 
 def _whole_size(response: BaseHTTPResponse) -> int | None:
     """That of the whole object, as the answer says it."""
-    said = response.headers.get("Content-Range", "").rpartition("/")[2]
-    said = said if response.status == 206 else response.headers.get("Content-Length", "")
-    return int(said) if said.isdigit() else None
+    length = response.headers.get("Content-Range", "").rpartition("/")[2]
+    length = length if response.status == 206 else response.headers.get("Content-Length", "")
+    return int(length) if length.isdigit() else None
 
 
 def _time_of_another(client: Minio, bucket: str) -> float | None:

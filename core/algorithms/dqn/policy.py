@@ -91,10 +91,10 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
 def _check_shape(facts: Mapping[str, Any], environment: Environment, action_set: ActionSet) -> None:
     """Raises JobFailed("bad_checkpoint") where the network is one of another environment."""
     names = ("observation_size", "num_parts", "num_choices")
-    given = [facts[name] for name in names]
+    sizes = [facts[name] for name in names]
     wanted = [environment.observation_size, action_set.num_parts, action_set.num_choices]
-    if given != wanted:
+    if sizes != wanted:
         raise JobFailed(
             Reason.BAD_CHECKPOINT,
-            f"The network has {', '.join(names)} = {given}, and this environment needs {wanted}.",
+            f"The network has {', '.join(names)} = {sizes}, and this environment needs {wanted}.",
         )

@@ -249,9 +249,9 @@ class Learner:
             order = jax.random.permutation(order_key, num_unrolls).reshape(settings.num_minibatches, -1)
             return jax.lax.scan(learn_minibatch, carry, (order, jax.random.split(loss_key, len(order))))
 
-        def learn_minibatch(carry: Any, given: tuple[jax.Array, jax.Array]) -> tuple[Any, Any]:
+        def learn_minibatch(carry: Any, batch_and_key: tuple[jax.Array, jax.Array]) -> tuple[Any, Any]:
             params, optimizer, learning_rate = carry
-            chosen, key = given
+            chosen, key = batch_and_key
             minibatch = self.sharding.split(jax.tree.map(lambda x: jnp.take(x, chosen, axis=0), batch))
             gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch, key)
             gradient, norm = clipped(gradient, hyperparameters.max_grad_norm)

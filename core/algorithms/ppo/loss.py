@@ -40,8 +40,8 @@ class Hyperparameters:
 
     @classmethod
     def of(cls, settings: PPOSpec) -> "Hyperparameters":
-        given = {name: getattr(settings, name) for name in settings.arguments}
-        numbers = {**given, "num_updates": settings.num_updates}
+        keywords = {name: getattr(settings, name) for name in settings.arguments}
+        numbers = {**keywords, "num_updates": settings.num_updates}
         return cls(
             **{name: jnp.float32(jnp.inf if value is None else value) for name, value in numbers.items()}
         )

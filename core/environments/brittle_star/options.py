@@ -114,8 +114,8 @@ class BrittleStarOptions(Strict):
     @property
     def segments(self) -> list[int]:
         """The number of segments of each arm, [num_arms]."""
-        given = self.num_segments_per_arm
-        return [given] * self.num_arms if isinstance(given, int) else given
+        counts = self.num_segments_per_arm
+        return [counts] * self.num_arms if isinstance(counts, int) else counts
 
     @property
     def timestep(self) -> float:
@@ -147,13 +147,13 @@ class BrittleStarOptions(Strict):
 
     @field_validator("num_segments_per_arm")
     @classmethod
-    def _is_an_arm(cls, given: int | list[int]) -> int | list[int]:
-        counts = [given] if isinstance(given, int) else given
+    def _is_an_arm(cls, value: int | list[int]) -> int | list[int]:
+        counts = [value] if isinstance(value, int) else value
         if min(counts, default=0) < 0:
             raise ValueError("must not be negative")
         if sum(counts) == 0:
             raise ValueError("there must be at least one segment: a disk alone cannot move")
-        return given
+        return value
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

@@ -74,8 +74,8 @@ class CompiledEngine:
         """The fields after the move, in MuJoCo's shapes."""
         own = tuple(name for name, values in sorted(state.model.items()) if values.size)
         source, call = self._call(move, own)
-        given = {name: getattr(state, name) for name in (*_CARRIED, "time")} | {**state.model, **more}
-        values = call(*(jnp.ravel(jnp.asarray(given[name], jnp.float32)) for name in source.inputs))
+        fields = {name: getattr(state, name) for name in (*_CARRIED, "time")} | {**state.model, **more}
+        values = call(*(jnp.ravel(jnp.asarray(fields[name], jnp.float32)) for name in source.inputs))
         found = dict(zip(source.outputs, values, strict=True))
         wanted = (*(_CARRIED if move == "step" else ()), *self._derived)
         return {

@@ -61,14 +61,14 @@ def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = No
     An environment in which a number is past the bound beyond which MuJoCo calls a state unstable, before or
     after, becomes NaN. limbs: those in whose numbers the program is to be the same.
     """
-    program, given, model = _begun(plan, limbs)
-    ctrl, state = given["ctrl"], _state(given)
+    program, symbols, model = _begun(plan, limbs)
+    ctrl, state = symbols["ctrl"], _state(symbols)
     moved = control_step(model, num_substeps, state, ctrl, reads_forces=_OF_FORCES in plan.derived)
     after = {"qpos": moved.qpos, "qvel": moved.qvel, "act": moved.act, "qacc_warmstart": moved.qacc}
-    time = [one + num_substeps * model.timestep for one in given["time"]]
+    time = [one + num_substeps * model.timestep for one in symbols["time"]]
     checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *ctrl]
     is_sound = _is_sound([*checked, *(x for values in after.values() for x in values)])
-    seen = _derived(plan, given, model, moved, time)
+    seen = _derived(plan, symbols, model, moved, time)
     for name, values in (*after.items(), *seen):
         if values:
             program.output(name, [select(is_sound, x, nan) for x in values])
@@ -77,13 +77,13 @@ def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = No
 
 def derived_program(plan: Plan) -> Program:
     """From qpos, qvel and, if it is among the inputs, act, under controls of 0, to the derived fields."""
-    program, given, model = _begun(plan)
-    act: Vector = [*given["act"]] or [0.0] * plan.model.na
-    state = SubstepState(given["qpos"], given["qvel"], act, [0.0] * plan.model.nv)
+    program, symbols, model = _begun(plan)
+    act: Vector = [*symbols["act"]] or [0.0] * plan.model.na
+    state = SubstepState(symbols["qpos"], symbols["qvel"], act, [0.0] * plan.model.nv)
     standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
     if _OF_FORCES in plan.derived or model.num_readings:
         standing = unmoved(model, state, [0.0] * plan.model.nu)
-    for name, values in _derived(plan, given, model, standing, [0.0]):
+    for name, values in _derived(plan, symbols, model, standing, [0.0]):
         if values:
             program.output(name, values)
     return program
@@ -92,25 +92,25 @@ def derived_program(plan: Plan) -> Program:
 def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, Vector], Model]:
     """A program with its inputs, empty where the plan has none, and the model with the inputs' fields."""
     program = Program()
-    given = {name: list[Symbol]() for name in ("qpos", "qvel", "act", "qacc_warmstart", "time", "ctrl")}
-    given |= {name: program.inputs(name, size) for name, size in plan.inputs.items()}
-    read = read_model(plan.model, {name: given[name] for name in plan.own})
+    symbols = {name: list[Symbol]() for name in ("qpos", "qvel", "act", "qacc_warmstart", "time", "ctrl")}
+    symbols |= {name: program.inputs(name, size) for name, size in plan.inputs.items()}
+    read = read_model(plan.model, {name: symbols[name] for name in plan.own})
     tolerance = max(_LEAST_TOLERANCE, read.solver.tolerance)
     read = replace(read, solver=replace(read.solver, tolerance=tolerance))
     if "sensordata" in plan.derived:
         read = with_sensors(read, plan.model)
-    return program, given, with_lane_constants(program, read, limbs) if limbs else read
+    return program, symbols, with_lane_constants(program, read, limbs) if limbs else read
 
 
-def _state(given: Mapping[str, Vector]) -> SubstepState:
-    return SubstepState(given["qpos"], given["qvel"], given["act"], given["qacc_warmstart"])
+def _state(symbols: Mapping[str, Vector]) -> SubstepState:
+    return SubstepState(symbols["qpos"], symbols["qvel"], symbols["act"], symbols["qacc_warmstart"])
 
 
 def _derived(
-    plan: Plan, given: Mapping[str, Vector], model: Model, moved: Moved, time: Vector
+    plan: Plan, symbols: Mapping[str, Vector], model: Model, moved: Moved, time: Vector
 ) -> Iterator[tuple[str, Vector]]:
     """One after the other: so each is written out before the next is computed."""
-    own = {name: given[name] for name in plan.own}
+    own = {name: symbols[name] for name in plan.own}
     readings = readings_by_sensor(model, moved) if "sensordata" in plan.derived else NO_READINGS
     scene = Scene(Fields(plan.model, own), moved.qpos, moved.qvel, time[0] if time else 0.0, readings)
     scene.tree = model.tree  # It has the lanes' constants.

@@ -21,7 +21,7 @@ SWEEP = {
 
 
 def printed() -> list[str]:
-    """What follows `gaitway` in each of them."""
+    """The words after `gaitway` in each of them."""
     return [found for file in sorted(PAGES.rglob("*.js")) for found in COMMAND.findall(file.read_text())]
 
 

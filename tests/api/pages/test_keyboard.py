@@ -54,7 +54,7 @@ def test_tab_reaches_all_that_can_be_used(tab: Tab, pair: list[Attempt], view: s
 
 
 def walk(page: Page, number: int) -> tuple[set[int], set[int]]:
-    """What Tab reaches from the beginning on, and what of it does not show that it has the focus."""
+    """The elements that Tab reaches, and those of them that do not show that they have the focus."""
     reached, unseen = set[int](), set[int]()
     for _ in range(2 * number):  # A control of the browser's own may have several places.
         page.keyboard.press("Tab")

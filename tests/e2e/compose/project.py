@@ -22,16 +22,16 @@ BASE = "python:3.12-slim-bookworm"
 
 
 class CommandFailed(Exception):
-    """What the command said."""
+    """The command's message."""
 
 
 def run(*command: str, stdin: bytes | None = None, **settings: str) -> str:
-    """What the command prints. Raises CommandFailed. settings: for its environment."""
+    """The command's output. Raises CommandFailed. settings: for its environment."""
     return run_for_bytes(*command, stdin=stdin, **settings).decode(errors="replace")
 
 
 def run_for_bytes(*command: str, stdin: bytes | None = None, **settings: str) -> bytes:
-    """What the command prints, as it is. Raises CommandFailed."""
+    """The command's output, as bytes. Raises CommandFailed."""
     done = subprocess.run(
         command,
         input=stdin,
@@ -95,7 +95,7 @@ class Project:
         return self.compose("exec", "-T", service, *command)
 
     def logs(self, service: str) -> list[dict[str, object]]:
-        """What a service's containers have logged, one document a line."""
+        """The log of a service's containers, one document a line."""
         lines = self.compose("logs", "--no-color", "--no-log-prefix", service).splitlines()
         # Some versions of Compose begin a line by erasing it, terminal or not.
         documents = (line.removeprefix("\x1b[2K") for line in lines)

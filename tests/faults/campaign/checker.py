@@ -143,7 +143,7 @@ def _of_files(
 
 
 def _settled(world: World) -> list[str]:
-    """What is left after a while of processes, spools and locks, and of messages in Redis."""
+    """The processes, spools, locks and messages in Redis that are left after a while."""
     deadline = time.monotonic() + _SETTLING_S
     while (left := [*world.left_over(), *_in_redis(world)]) and time.monotonic() < deadline:
         time.sleep(0.1)

@@ -18,7 +18,7 @@ _FINAL = ("succeeded", "failed", "cancelled")
 
 @dataclass
 class Told:
-    """What the service said of one job. statuses: by every look at it, in their order."""
+    """The service's answers about one job. statuses: by every look at it, in their order."""
 
     seed: int
     job_id: str = ""

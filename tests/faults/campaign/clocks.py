@@ -34,7 +34,7 @@ class Clocks:
         return self._library is not None
 
     def environment(self, name: str) -> Mapping[str, str]:
-        """What a process is started with that goes by this clock."""
+        """The environment of a process that goes by this clock."""
         if self._library is None:
             return {}
         self.set(name, 0)

@@ -29,7 +29,7 @@ _END_WITHIN_S = 60.0
 
 
 def run(world: World, seed: int, campaign: Campaign) -> Outcome:
-    """What became of the episode that this seed draws."""
+    """The result of the episode that this seed draws."""
     rng = random.Random(seed)
     faults = campaign.draw(rng, _FAULTS_WITHIN_S)
     started = time.monotonic()

@@ -61,7 +61,7 @@ def _hostile(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
 
 
 def _broken(http: httpx.Client, archive: bytes) -> list[str]:
-    """What is wrong with the answers; an outage may be the answer to any."""
+    """The faults of the answers; an outage may be the answer to any."""
     answer = _asked(
         http, "POST", "/jobs/import", content=archive, headers={"Content-Type": "application/zip"}
     )

@@ -34,7 +34,7 @@ class _Place:
         self.routes = [one for one in routes(self.document) if "model" not in one and "preview" not in one]
 
     def send(self, rng: random.Random) -> list[str]:
-        """What is wrong with the answers."""
+        """The faults of the answers."""
         found = list[str]()
         for route in rng.sample(self.routes, _ROUTES):
             try:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 class Mode(StrEnum):
-    """What a proxy does.
+    """The behaviour of a proxy.
 
     open: nothing. refuse: connections are reset. silent: nothing comes through, and nothing ends. slow: each
     piece takes a while. lose_answers: what is asked arrives, and the connection is reset before the answer.

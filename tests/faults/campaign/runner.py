@@ -77,7 +77,7 @@ class Runner:
         return self._child.pid
 
     def run(self, seed: int) -> Outcome:
-        """What became of it. Raises RuntimeError where its process has ended."""
+        """The episode's result. Raises RuntimeError where its process has ended."""
         assert self._child.stdin is not None
         assert self._child.stdout is not None
         self._child.stdin.write(f"{seed}\n")

@@ -18,7 +18,7 @@ STEP_S = 0.04
 
 
 def state_after(seed: int, steps: int) -> str:
-    """What a run has learned after so many steps."""
+    """The state that a run has learned after so many steps."""
     state = f"seed {seed}"
     for step in range(1, steps + 1):
         state = hashlib.sha256(f"{state} {step}".encode()).hexdigest()

@@ -173,7 +173,7 @@ class World:
         return path.read_text(errors="replace") if path.exists() else ""
 
     def left_over(self) -> list[str]:
-        """What no idle service has: processes of jobs, spools, locks."""
+        """The processes of jobs, spools and locks, which an idle service has not."""
         found = [
             f"process {process.pid} {' '.join(process.cmdline()[-4:])}"
             for name in PARTIES

@@ -77,7 +77,7 @@ def test_the_other_parts_do_nothing_without_a_signature(
 
 
 def shell(weed: Weed, commands: str, **environ: str) -> str:
-    """What SeaweedFS's own client for gRPC says."""
+    """The answer of SeaweedFS's own client for gRPC."""
     binary = shutil.which("weed", path=str(Path(sys.executable).parent) + os.pathsep + os.environ["PATH"])
     master, filer = (f"127.0.0.1:{weed._ports[at]}.{weed._ports[at + 1]}" for at in (MASTER, FILER))
     with subprocess.Popen(

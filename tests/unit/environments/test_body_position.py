@@ -9,7 +9,7 @@ from core.physics.engine import PhysicsState
 
 
 def read(body: str, qpos: list[float], name: str = "b") -> dict[str, float]:
-    """What is read of the body of that name under these positions."""
+    """The position read of the body of that name under these joint positions."""
     model = mujoco.MjModel.from_xml_string(
         f"<mujoco><compiler angle='degree'/><worldbody>{body}</worldbody></mujoco>"
     )

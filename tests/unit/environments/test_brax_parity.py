@@ -43,7 +43,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @dataclass
 class Frames:
-    """What Brax's environments read of a physics state, and ours beside it."""
+    """The fields that Brax's environments read of a physics state, and ours beside them."""
 
     physics: PhysicsState
     q: jax.Array

@@ -56,7 +56,7 @@ def with_video(body: bytes = BODY, sha256: str | None = None) -> Answer:
 
 
 def ranged(request: Request, body: bytes, most: int) -> Answer:
-    """What a Range asks for, the connection breaking after `most` bytes."""
+    """The bytes that a Range asks for; the connection breaks after `most` of them."""
     start = int(request.headers.get("range", "bytes=0-").removeprefix("bytes=").partition("-")[0])
     rest = body[start:]
     headers = {"Content-Range": f"bytes {start}-{len(body) - 1}/{len(body)}"}

@@ -154,7 +154,7 @@ def table_answers(_: str, content: bytes, *, is_checkpoint: bool, deterministic:
 
 
 def clients_file(algorithm: str, content: bytes, *, is_checkpoint: bool) -> bytes:
-    """What the client reads: `policy.npz` in place of the policy file that is for Brax."""
+    """The client reads `policy.npz` in place of the policy file that is for Brax."""
     return numpy_file_of(content) if algorithm in ("ppo", "sac") and not is_checkpoint else content
 
 

@@ -26,7 +26,7 @@ def legend(figure: Any) -> list[str]:
 
 
 def numbers(figure: Any) -> dict[tuple[float, float], str]:
-    """What stands in the cells, by (column, row)."""
+    """The text of the cells, by (column, row)."""
     return {text.get_position(): text.get_text() for text in figure.axes[0].texts}
 
 

@@ -231,7 +231,7 @@ def test_the_same_records_give_the_same_decisions_whatever_was_begun_already() -
 
 
 class TestSettings:
-    """What becomes of one setting of a member that is replaced."""
+    """The next value of one setting of a member that is replaced."""
 
     @pytest.mark.parametrize(
         ("axis", "value", "factor", "wanted"),

@@ -153,15 +153,15 @@ def gradient(
 
     hyper: [6], see HYPERPARAMETERS.
     """
-    given = {"params": params, **batch._asdict(), **chosen._asdict(), "hyper": hyper}
-    given = {name: array.ravel() for name, array in given.items()}
+    arrays = {"params": params, **batch._asdict(), **chosen._asdict(), "hyper": hyper}
+    arrays = {name: array.ravel() for name, array in arrays.items()}
     samples, blocks, tiles = sizes.samples, sizes.num_blocks, sizes.num_tiles
     lengths = {"values": samples + sizes.batch_size}
-    given |= _call(_values, sizes, (tiles + blocks,), given, lengths)
+    arrays |= _call(_values, sizes, (tiles + blocks,), arrays, lengths)
     lengths = {"returns": samples, "advantages": samples, "sums": 2 * blocks}
-    given |= _call(_advantages, sizes, (blocks,), given, lengths)
+    arrays |= _call(_advantages, sizes, (blocks,), arrays, lengths)
     lengths = {"gradients": tiles * sizes.layout.size, "metrics": tiles * _TOLD_BY_A_TILE}
-    found = _call(_gradients, sizes, (2, tiles), given, lengths)
+    found = _call(_gradients, sizes, (2, tiles), arrays, lengths)
     summed = jnp.sum(found["gradients"].reshape(tiles, -1), axis=0)
     return summed, _named(sizes, found["metrics"].reshape(tiles, -1), hyper)
 
@@ -170,11 +170,11 @@ def _call(
     kernel: Callable[[KernelSizes, Any], None],
     sizes: KernelSizes,
     grid: tuple[int, ...],
-    given: Mapping[str, jax.Array],
+    arrays: Mapping[str, jax.Array],
     lengths: Mapping[str, int],
 ) -> dict[str, jax.Array]:
     """Run the kernel; returns its outputs by name. It gets all arrays, flat, as attributes of one object."""
-    names = [*given, *lengths]
+    names = [*arrays, *lengths]
 
     def body(*refs: Any) -> None:
         kernel(sizes, SimpleNamespace(**dict(zip(names, refs, strict=True))))
@@ -187,7 +187,7 @@ def _call(
         interpret=sizes.interpret,
         name=f"ppo{kernel.__name__}",
     )
-    return dict(zip(lengths, call(*given.values()), strict=True))
+    return dict(zip(lengths, call(*arrays.values()), strict=True))
 
 
 def _values(sizes: KernelSizes, refs: Any) -> None:

@@ -39,8 +39,8 @@ def learn(
         order = jax.random.permutation(order_key, num_unrolls).astype(jnp.int32)
         return order, jax.random.normal(loss_key, (*batch.reward.shape, width))
 
-    def learn_pass(carry: Any, given: tuple[jax.Array, jax.Array]) -> tuple[Any, Any]:
-        order, noise = given
+    def learn_pass(carry: Any, batch_and_key: tuple[jax.Array, jax.Array]) -> tuple[Any, Any]:
+        order, noise = batch_and_key
 
         def learn_minibatch(carry: Any, which: jax.Array) -> tuple[Any, Any]:
             vector, optimizer = carry

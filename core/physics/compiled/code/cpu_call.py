@@ -36,11 +36,11 @@ class CpuCall:
     def _on_the_host(self, *arrays: Floats) -> Sequence[Floats]:
         function, outer = self._function.result(), arrays[0].shape[:-1]
         num_envs = int(np.prod(outer))
-        given = [np.ascontiguousarray(array) for array in arrays]
+        contiguous = [np.ascontiguousarray(array) for array in arrays]
         found = [np.empty((*outer, size), np.float32) for size in self._source.outputs.values()]
         first, *others = _shares(num_envs, vector_width(), num_cores())
-        waiting = [_movers().submit(function, *share, *given, *found) for share in others]
-        function(*first, *given, *found)
+        waiting = [_movers().submit(function, *share, *contiguous, *found) for share in others]
+        function(*first, *contiguous, *found)
         for one in waiting:
             one.result()
         return found

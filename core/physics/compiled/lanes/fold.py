@@ -42,7 +42,7 @@ class _Fold:
     """symbols: of the new program, by the trunk's variables and the first limb's. meetings: by variable, the
     terms of several limbs that do not end here."""
 
-    given: Program
+    source: Program
     alike: Alike
     num_lanes: int
     program: Program = field(default_factory=Program)
@@ -55,12 +55,12 @@ class _Fold:
 
     def written(self) -> Program:
         self.program.num_lanes = self.num_lanes
-        self._note_uses(self.given.statements)
-        for outputs in self.given.outputs.values():
+        self._note_uses(self.source.statements)
+        for outputs in self.source.outputs.values():
             for output in outputs:
                 self.uses.setdefault(output.variable, []).append(None)
-        self._take(self.given.statements)
-        for name, outputs in self.given.outputs.items():
+        self._take(self.source.statements)
+        for name, outputs in self.source.outputs.items():
             self.program.outputs[name] = list(self._outputs(name, outputs))
         return self.program
 

@@ -31,15 +31,15 @@ _FUNCTIONS: Mapping[Operation, Callable[..., NDArray[Any]]] = {
 
 
 def interpret(
-    program: Program, given: Mapping[str, Sequence[NDArray[np.floating]]]
+    program: Program, inputs: Mapping[str, Sequence[NDArray[np.floating]]]
 ) -> dict[str, list[NDArray[np.floating]]]:
-    """The outputs. given: by input, an array [environments] for each of its numbers.
+    """The outputs. inputs: by input, an array [environments] for each of its numbers.
 
     Where the lanes of a folded program differ, a number is an array [lanes, environments] inside.
     """
-    dtype = next(iter(given.values()))[0].dtype
+    dtype = next(iter(inputs.values()))[0].dtype
     values = Values()
-    _run(program.statements, values, given, dtype)
+    _run(program.statements, values, inputs, dtype)
     found = dict[str, list[NDArray[np.floating]]]()
     for name, outputs in program.outputs.items():
         by_place = dict[int, NDArray[np.floating]]()
@@ -54,7 +54,7 @@ def interpret(
 def _run(
     statements: Sequence[Statement],
     values: Values,
-    given: Mapping[str, Sequence[NDArray[np.floating]]],
+    inputs: Mapping[str, Sequence[NDArray[np.floating]]],
     dtype: np.dtype[np.floating],
 ) -> None:
     for statement in statements:
@@ -63,23 +63,23 @@ def _run(
             if function := _FUNCTIONS.get(statement.operation):
                 values[statement.target] = function(*[values[number] for number in statement.arguments])
             else:
-                values[statement.target] = _given(statement, values, given, dtype)
+                values[statement.target] = _given(statement, values, inputs, dtype)
         elif isinstance(statement, Loop):
-            _repeat(statement, values, given, dtype)
+            _repeat(statement, values, inputs, dtype)
         else:
-            _choose(statement, values, given, dtype)
+            _choose(statement, values, inputs, dtype)
 
 
 def _given(
     one: Assign,
     values: Values,
-    given: Mapping[str, Sequence[NDArray[np.floating]]],
+    inputs: Mapping[str, Sequence[NDArray[np.floating]]],
     dtype: np.dtype[np.floating],
 ) -> NDArray[Any]:
     """A number that is given, or the sum of one over the lanes."""
     match one:
         case Assign(operation="input", arguments=(str(name), int(place))):
-            return given[name][place]
+            return inputs[name][place]
         case Assign(operation="constant", arguments=(value,)):
             return np.asarray(value, dtype)
         case Assign(operation="limb_constant", arguments=(int(lane), *of_lanes)):
@@ -87,7 +87,7 @@ def _given(
         case Assign(operation="lane_constant", arguments=of_lanes):
             return np.asarray(of_lanes, dtype)[:, None]
         case Assign(operation="lane_input", arguments=(str(name), *places)):
-            return np.stack([given[name][int(place)] for place in places])
+            return np.stack([inputs[name][int(place)] for place in places])
         case Assign(operation="lane_sum", arguments=(number,)):
             return np.sum(values[int(number)], axis=0)
         case _:
@@ -97,7 +97,7 @@ def _given(
 def _repeat(
     loop: Loop,
     values: Values,
-    given: Mapping[str, Sequence[NDArray[np.floating]]],
+    inputs: Mapping[str, Sequence[NDArray[np.floating]]],
     dtype: np.dtype[np.floating],
 ) -> None:
     """An environment that need not go on keeps the numbers that it has."""
@@ -107,7 +107,7 @@ def _repeat(
     for _ in range(loop.most):
         if not running.any():
             break
-        _run(loop.body, values, given, dtype)
+        _run(loop.body, values, inputs, dtype)
         after = [np.where(running, values[after], values[variable]) for variable, _, after in loop.carried]
         if loop.improves is not None:
             running = running & values[loop.improves]
@@ -118,12 +118,12 @@ def _repeat(
 def _choose(
     branch: Branch,
     values: Values,
-    given: Mapping[str, Sequence[NDArray[np.floating]]],
+    inputs: Mapping[str, Sequence[NDArray[np.floating]]],
     dtype: np.dtype[np.floating],
 ) -> None:
     condition = values[branch.condition]
     if condition.any():
-        _run(branch.body, values, given, dtype)
+        _run(branch.body, values, inputs, dtype)
     for variable, inside, otherwise in branch.results:
         chosen = values[inside] if condition.any() else values[otherwise]
         values[variable] = np.where(condition, chosen, values[otherwise])

@@ -65,7 +65,7 @@ def walked(task: str) -> Case:
 
 
 def observed(environment: Any, state: State) -> jax.Array:
-    """What is observed in these positions and velocities, at rest otherwise, with the same target."""
+    """The observation in these positions and velocities, at rest otherwise, with the same target."""
     physics = environment.engine.reset(state.physics.qpos, state.physics.qvel)
     return environment._observe(physics, environment._task.measure(physics, state.info))
 

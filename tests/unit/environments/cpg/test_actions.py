@@ -26,7 +26,7 @@ NAMES = [
 
 @dataclass(frozen=True)
 class Joints(Probe):
-    """What it is told to do is what is seen."""
+    """A body whose observation is its action."""
 
     names: tuple[str, ...] = tuple(NAMES)
 

@@ -219,7 +219,7 @@ def _actuator(draw: Random, *, turns: bool) -> tuple[str, Attributes]:
 
 
 def _own_attributes(draw: Random, kind: str) -> Attributes:
-    """What an actuator of this kind alone has."""
+    """The attributes that an actuator of this kind alone has."""
     match kind:
         case "velocity":
             return {"kv": _number(draw, 0.1, 1.0)}

@@ -19,7 +19,7 @@ FIELDS = ("qpos", "qvel", "act", "qacc")
 def recorded(
     model: Model, state: SubstepState, ctrl: Vector
 ) -> Callable[[SubstepState, Vector], SubstepState]:
-    """What `substep` does to states and controls of as many numbers as these, [environments] each."""
+    """The program of `substep` for states and controls of as many numbers as these, [environments] each."""
     program, shape = Program(), np.shape(state.qpos[0])
     symbols = {name: program.inputs(name, len(getattr(state, name))) for name in FIELDS}
     moved = substep(model, SubstepState(**symbols), program.inputs("ctrl", len(ctrl)))

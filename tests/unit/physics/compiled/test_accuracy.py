@@ -101,7 +101,7 @@ class Computed:
     condition: dict[str, NDArray[np.float64]]
 
     def rounded(self, field: str) -> NDArray[np.float64]:
-        """What an error may be at each quantile."""
+        """The largest error allowed at each quantile."""
         return ROUNDINGS * ROUNDING * np.maximum(1.0, self.condition[field])
 
 

@@ -80,7 +80,7 @@ def largest_errors(moved: SubstepState, datas: list[mujoco.MjData]) -> NDArray[n
 
 
 def compare(xml: str) -> Counter[str]:
-    """What was seen of a model, which is refused or moves as in MuJoCo."""
+    """The result for a model, which is refused or moves as in MuJoCo."""
     model = converge(mujoco.MjModel.from_xml_string(xml), implicit_damping=True)
     if reason := uncovered(model):
         assert reason.startswith("it")

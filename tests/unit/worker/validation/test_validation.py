@@ -152,7 +152,7 @@ def test_a_body_without_a_floor_is_described_with_a_word_about_that(tmp_path: Pa
 
 
 def first_findings(body: bytes, folder: Path) -> Description:
-    """What is said before any engine is loaded."""
+    """The refusal comes before any engine is loaded."""
     (folder / "model").write_bytes(body)
     return next(findings(folder / "model"))
 
