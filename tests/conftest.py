@@ -26,8 +26,7 @@ from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
 from gaitway.service.embedded.postgres import Postgres
 from gaitway.service.embedded.valkey import Valkey
-from gaitway.service.embedded.weed import Weed
-from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import REGION, Weed
 from tests.compiling import compile_quickly, compiling_quickly
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.kept_programs import forget_old_programs, keep_programs

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from gaitway.service.embedded.certificates import Certificate, authority, signed
 from gaitway.service.embedded.folders import remembered, write_private
-from gaitway.service.embedded.weed_environment import REGION, weed_environment
+from gaitway.service.embedded.weed import REGION, weed_environment
 
 SECRETS = Path("/run/gaitway")
 # Apart from the others: PostgreSQL's container reads it as another user, and keeps the first password.

@@ -19,8 +19,7 @@ from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import ObjectNotFound, Rejected, StorageUnavailable
 from core.storage.objects import ObjectInfo, ObjectStore
-from gaitway.service.embedded.weed import Weed
-from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import REGION, Weed
 
 MIB = 2**20
 BAD_KEYS = [

@@ -23,8 +23,7 @@ from gaitway.service.embedded import weed as weed_module
 from gaitway.service.embedded.postgres import Postgres
 from gaitway.service.embedded.processes import free_ports
 from gaitway.service.embedded.valkey import Valkey
-from gaitway.service.embedded.weed import Weed
-from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import REGION, Weed
 
 SECRET = "correct-horse"
 

@@ -24,8 +24,7 @@ from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.storage import keys
 from core.user_models import library
-from gaitway.service.embedded.weed import Weed
-from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import REGION, Weed
 from tests.api.conftest import NOWHERE, serving
 from tests.contract.recording import NOW, artifact, held, model, queued_job, say
 from tests.extra import extra

@@ -17,8 +17,7 @@ from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.storage.objects import ObjectStore
 from gaitway.service.embedded.processes import free_ports
-from gaitway.service.embedded.weed import Weed
-from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import REGION, Weed
 from tests.contract.recording import NOW, artifact, held, queued_job, say
 from tests.faults.campaign.proxy import Mode, Proxies, Proxy
 from tests.feeds import read_feed

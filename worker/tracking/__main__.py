@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from worker.host.processes import die_with_parent
+from worker.tracking.board import lines_by_step
 from worker.tracking.items import ITEM, About, EndItem, MetricsItem, WriteUp
-from worker.tracking.lines import lines_by_step
 
 
 def main(arguments: list[str]) -> int:

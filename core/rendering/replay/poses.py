@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.rendering.replay.parts import parts
+from core.rendering.replay.scene_file import parts
 from core.rendering.scene import TARGET_BODY
 from core.rendering.timeline import EpisodeMotion, Floats
 

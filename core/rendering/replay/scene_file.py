@@ -5,6 +5,7 @@ its pose in the model's initial positions, and below that a node for each geom o
 `geom_<i>` or `site_<i>`, in its body's frame. Skins follow their bodies.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import mujoco
@@ -14,10 +15,53 @@ from numpy.typing import NDArray
 from core.rendering import floor
 from core.rendering.replay.glb import Glb
 from core.rendering.replay.materials import Materials
-from core.rendering.replay.parts import parts
 from core.rendering.replay.shapes import ENDLESS_M, Floats, Part, Surface, surface_of
 from core.rendering.replay.skins import add_skins
 from core.rendering.scene import CameraView
+
+_SHOWN_GROUPS = 3
+# A geom of this colour has that of its material.
+_UNSET = (0.5, 0.5, 0.5, 1.0)
+
+
+def parts(model: mujoco.MjModel) -> Iterator[Part]:
+    """The geoms, then the sites; the node of geom 3 is named `geom_3`."""
+    for geom in range(model.ngeom):
+        rgba = _colour(model, model.geom_rgba[geom], int(model.geom_matid[geom]))
+        if model.geom_group[geom] < _SHOWN_GROUPS and rgba[3] > 0:
+            yield Part(
+                f"geom_{geom}",
+                mujoco.mjtGeom(int(model.geom_type[geom])),
+                int(model.geom_dataid[geom]),
+                np.array(model.geom_size[geom]),
+                int(model.geom_bodyid[geom]),
+                np.array(model.geom_pos[geom]),
+                np.array(model.geom_quat[geom]),
+                rgba,
+                int(model.geom_matid[geom]),
+            )
+    for site in range(model.nsite):
+        rgba = _colour(model, model.site_rgba[site], int(model.site_matid[site]))
+        if model.site_group[site] < _SHOWN_GROUPS and rgba[3] > 0:
+            yield Part(
+                f"site_{site}",
+                mujoco.mjtGeom(int(model.site_type[site])),
+                -1,
+                np.array(model.site_size[site]),
+                int(model.site_bodyid[site]),
+                np.array(model.site_pos[site]),
+                np.array(model.site_quat[site]),
+                rgba,
+                int(model.site_matid[site]),
+            )
+
+
+def _colour(model: mujoco.MjModel, own: Floats, material: int) -> Floats:
+    """[4]: its own colour; its material's where it has not been given one."""
+    if material >= 0 and np.allclose(own, _UNSET):
+        return np.array(model.mat_rgba[material], float)
+    return np.array(own, float)
+
 
 _Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # -90 degrees about x; x y z w
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gaitway.service.doctor import machine, services, settings
 from gaitway.service.doctor.check import Check
-from gaitway.service.doctor.confinement import confinement
+from gaitway.service.doctor.machine import confinement
 
 Checks = Mapping[str, Callable[[], Check]]
 

@@ -27,8 +27,7 @@ from core.adapters.wiring import connect_redis
 from gaitway.service.embedded.folders import private_folder, write_private
 from gaitway.service.embedded.postgres import Postgres
 from gaitway.service.embedded.valkey import Valkey
-from gaitway.service.embedded.weed import Weed
-from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import REGION, Weed
 from tests.faults.campaign.clocks import ClockedProcess, Clocks
 from tests.faults.campaign.disks import Disk
 from tests.faults.campaign.ports import Ports

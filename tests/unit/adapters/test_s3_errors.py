@@ -14,8 +14,7 @@ from core.adapters.startup import exercise_objects
 from core.adapters.wiring import object_store
 from core.errors import Misconfigured, ObjectNotFound, StorageRefuses, StorageUnavailable
 from core.settings import StoreSettings, WorkerSettings
-from gaitway.service.embedded.weed import Weed
-from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import REGION, Weed
 
 
 @pytest.fixture

@@ -14,8 +14,7 @@ import pytest
 
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
-from gaitway.service.embedded.weed import Weed
-from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import REGION, Weed
 
 KEY, BODY = "models/secret/source", b"nobody else's"
 # As weed.py has them, each with its gRPC behind it.

@@ -20,7 +20,7 @@ from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import StorageUnavailable
 from gaitway.service.embedded.weed import Weed
-from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import REGION
 
 
 def keeps(store, key, body):

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from core.physics.compiled.code.steps import Step, num_operations, results, uses, with_outputs
-from core.physics.compiled.program.needed import needed
+from core.physics.compiled.program.flow import needed
 from core.physics.compiled.program.program import Assign, Branch, Loop, Program, Statement, assigns
 
 # Written again in each section that uses them: loading them from slots would be no cheaper.

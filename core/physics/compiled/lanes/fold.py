@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from core.physics.compiled.lanes.forms import TRUNK, Forms, Kind
 from core.physics.compiled.lanes.lane_constants import NotAlike
 from core.physics.compiled.program.arithmetic import select, total
-from core.physics.compiled.program.needed import needed
+from core.physics.compiled.program.flow import needed
 from core.physics.compiled.program.program import (
     Assign,
     Branch,

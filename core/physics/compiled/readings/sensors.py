@@ -24,7 +24,7 @@ from core.physics.compiled.readings.contact_sensors import KINDS as CONTACT_KIND
 from core.physics.compiled.readings.force_sensors import KINDS as FORCE_KINDS
 from core.physics.compiled.readings.scene import Frame, Scene
 from core.physics.compiled.smooth.actuation import transmission
-from core.physics.compiled.smooth.rotations import conjugate
+from core.physics.compiled.smooth.spatial import conjugate
 from core.physics.compiled.smooth.tendons import weighted
 
 _Kind = mujoco.mjtSensor

@@ -14,7 +14,7 @@ from core.physics.compiled.program.arithmetic import (
 )
 from core.physics.compiled.smooth.dynamics import Motion, Wrenches, projected
 from core.physics.compiled.smooth.kinematics import Poses
-from core.physics.compiled.smooth.rotations import conjugate, rotation_vector
+from core.physics.compiled.smooth.spatial import conjugate, rotation_vector
 from core.physics.compiled.smooth.tree import JointConstants, Tree
 
 

@@ -18,7 +18,7 @@ from core.physics.compiled.smooth.dynamics import mass_matrix, motion, projected
 from core.physics.compiled.smooth.fluid import drag_forces
 from core.physics.compiled.smooth.forces import passive_forces, weight_held
 from core.physics.compiled.smooth.kinematics import poses
-from core.physics.compiled.smooth.rotations import rotation_vector
+from core.physics.compiled.smooth.spatial import rotation_vector
 from core.physics.compiled.smooth.tendons import tendon_forces, with_armature
 from core.physics.compiled.substep import Model, SubstepState, control_step, read_model, substep
 
