@@ -26,7 +26,7 @@ from core.errors import Unavailable
 from core.installation import to_install
 from gaitway.service.embedded.folders import private_folder, write_private
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess
-from gaitway.service.embedded.servers import Server
+from gaitway.service.embedded.server import Server
 
 if TYPE_CHECKING:  # It is imported while the servers are already starting.
     import psycopg

@@ -14,7 +14,7 @@ from core.errors import Unavailable
 from core.installation import to_install
 from gaitway.service.embedded.folders import private_folder
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess
-from gaitway.service.embedded.servers import Server
+from gaitway.service.embedded.server import Server
 
 _LONGEST_SOCKET_PATH = 100  # the kernel's limit is 107 bytes, on macOS 103
 _ANSWERS_WITHIN_S = 2.0

@@ -14,7 +14,7 @@ from typing import Self
 from core.installation import to_install
 from gaitway.service.embedded.folders import private_folder, remembered, write_private
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
-from gaitway.service.embedded.servers import Server
+from gaitway.service.embedded.server import Server
 
 REGION = "us-east-1"
 
