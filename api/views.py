@@ -17,6 +17,7 @@ from core.algorithms.catalog import ALGORITHMS, environment_options, resolve, tu
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
 from core.jobs.job import Artifact, Job, Progress, UnreadableJob
+from core.jobs.slots import WantedSlots
 from core.jobs.spec import SentSpec
 from core.jobs.workers import WorkerInfo, what_it_waits_for
 from core.rendering.layout import TRACK
@@ -35,6 +36,8 @@ from gaitway.schema import (
     OriginView,
     ProgressView,
     SliceView,
+    SlotsView,
+    SlotView,
     SweepDetails,
     SweepView,
     TrialView,
@@ -258,3 +261,24 @@ def _defaults(kind: str, info: EnvironmentInfo, device: Device) -> dict[str, Any
     with suppress(Rejected):
         return resolve(ALGORITHMS[kind].spec(), _row_for(kind, info), device).model_dump(mode="json")
     return {}
+
+
+def slots_view(wanted: Sequence[WantedSlots]) -> SlotsView:
+    items = tuple(
+        SlotView(
+            accelerator=slots.kind.accelerator,
+            gpus=slots.kind.gpus,
+            hosts=slots.kind.hosts,
+            queued=slots.queued,
+            running=slots.running,
+            oldest_queued_s=slots.oldest_queued_s,
+        )
+        for slots in wanted
+    )
+    ages = [item.oldest_queued_s for item in items if item.oldest_queued_s is not None]
+    return SlotsView(
+        items=items,
+        queued=sum(item.queued for item in items),
+        running=sum(item.running for item in items),
+        oldest_queued_s=max(ages, default=None),
+    )

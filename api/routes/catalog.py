@@ -1,4 +1,4 @@
-"""The environments and algorithms that a job may name, and the workers that run jobs."""
+"""The environments and algorithms that a job may name, the workers that run jobs, and how many are wanted."""
 
 import inspect
 from typing import Annotated
@@ -9,13 +9,16 @@ from pydantic import Field
 from api.dependencies import QueryParameters, ServiceDep
 from api.problems import refusals
 from api.submissions import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
-from api.views import AlgorithmView, Listing, environment_details, environment_view
+from api.views import AlgorithmView, Listing, environment_details, environment_view, slots_view
 from core.algorithms.catalog import ALGORITHMS
 from core.bounds import LONGEST_NAME
 from core.environments.catalog import ENVIRONMENTS
+from core.environments.info import Device
 from core.errors import EnvironmentNotFound, RecordsUnavailable, Rejected
+from core.jobs.slots import counted_as, wanted_slots
+from core.jobs.spec import MOST_GPUS, Accelerator
 from core.jobs.workers import WORKER_NAME
-from gaitway.schema import EnvironmentDetails, EnvironmentView, WorkerView
+from gaitway.schema import EnvironmentDetails, EnvironmentView, SlotsView, WorkerView
 
 router = APIRouter(tags=["catalog"])
 
@@ -110,3 +113,33 @@ def list_workers(listed: Annotated[WorkerFilters, Query()], service: ServiceDep)
     page = service.store.list_workers(cursor=listed.cursor, limit=listed.limit)
     items = [WorkerView.model_validate(worker) for worker in page.workers]
     return Listing[WorkerView](items=items, next=page.next_cursor)
+
+
+class SlotFilters(QueryParameters):
+    """Which jobs count, and where those count that ask for no particular device."""
+
+    counted_as: Device | None = Field(
+        None,
+        description="Jobs that ask for no particular device count among those of one GPU or of a CPU: the "
+        "kind that the reader starts for them. Without it, they are of the kind `any`.",
+    )
+    accelerator: Accelerator | None = Field(None, description="Only jobs of this kind.")
+    gpus: int | None = Field(None, ge=0, le=MOST_GPUS, description="Only jobs of this many GPUs on a host.")
+
+
+@router.get("/slots", responses=refusals(Rejected, RecordsUnavailable))
+def read_slots(wanted: Annotated[SlotFilters, Query()], service: ServiceDep) -> SlotsView:
+    """How many workers the queue wants, by kind: for what starts and stops workers.
+
+    `queued` and `running` of the whole document are numbers even where no job fits, as scalers want them.
+    """
+    slots = wanted_slots(service.store.queue_counts())
+    if wanted.counted_as is not None:
+        slots = counted_as(slots, wanted.counted_as)
+    return slots_view(
+        [
+            one
+            for one in slots
+            if wanted.accelerator in (None, one.kind.accelerator) and wanted.gpus in (None, one.kind.gpus)
+        ]
+    )

@@ -11,6 +11,7 @@ from core.documents import Stored
 from core.errors import Problem, Rejected
 from core.jobs.job import Job, Progress, UnreadableJob, utc_now
 from core.jobs.metrics import Block, Measurement
+from core.jobs.slots import QueueCount
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerStore
@@ -272,6 +273,10 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         as a queue holds. but_not: attempts to be left out, each
         by its job and number.
         """
+        ...
+
+    def queue_counts(self) -> Sequence[QueueCount]:
+        """Each queue with queued or held jobs, and that of models that wait for their validation."""
         ...
 
     def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:

@@ -13,7 +13,7 @@ from gaitway.addresses import POLL_S
 from gaitway.async_client.connection import AsyncConnection
 from gaitway.concurrency import async_sleep
 from gaitway.errors import Rejected, WaitTimeout
-from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, WorkerView
+from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, SlotsView, WorkerView
 
 # As the service allows.
 _LONGEST_NAME = 100
@@ -134,6 +134,12 @@ class AsyncCatalog(AsyncConnection):
     def workers(self, *, limit: int | None = None) -> AsyncIterator[WorkerView]:
         """The workers that have sent a heartbeat lately, by name; at most `limit`."""
         return self._all("/workers", WorkerView, limit, {})
+
+    async def slots(self, *, counted_as: str | None = None) -> SlotsView:
+        """How many workers the queue wants, by kind. counted_as: `cpu` or `gpu`, where jobs count that ask
+        for no particular device; otherwise they are of the kind `any`."""
+        params = {} if counted_as is None else {"counted_as": counted_as}
+        return await self._get("/slots", SlotsView, params=params)
 
     async def health(self) -> Mapping[str, Any]:
         """The service's readiness. Raises Unavailable when a part of it is unavailable."""

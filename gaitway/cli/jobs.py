@@ -1,8 +1,8 @@
-"""`gaitway jobs`, `show`, `cancel`, `delete`: jobs as they stand; and `workers`: who trains."""
+"""`gaitway jobs`, `show`, `cancel`, `delete`: jobs as they stand; `workers`; `slots`: how many are wanted."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 from rich.table import Table
@@ -13,7 +13,7 @@ from gaitway.cli.compare import flat
 from gaitway.cli.progress import duration
 from gaitway.cli.terminal import Console
 from gaitway.cli.watch import ending
-from gaitway.schema import JobView
+from gaitway.schema import AttemptView, JobView
 
 # The metrics that one looks at first.
 _MAIN = (
@@ -200,10 +200,23 @@ def _parts(job: JobView) -> list[str]:
     lines = list[str]()
     for attempt in job.attempts:
         end = f"{attempt.reason}: {attempt.message}" if attempt.reason else "still running"
-        where = ", ".join(part for part in (attempt.worker, attempt.device, attempt.engine) if part)
+        parts = (attempt.worker, attempt.device, attempt.engine, _allocation(attempt))
+        where = ", ".join(part for part in parts if part)
         lines.append(f"  attempt {attempt.number} on {where}: {end}")
     lines += [f"  {a.name}  {a.size:,} bytes  {a.media_type}" for a in job.artifacts]
     return lines
+
+
+def _allocation(attempt: AttemptView) -> str | None:
+    """Where a cluster ran it: `Slurm job 4711 on n1, account vnl`."""
+    names = attempt.details.get("allocation")
+    if not isinstance(names, dict):
+        return None
+    said = cast("dict[str, Any]", names)
+    words = [f"{str(said.get('scheduler', '')).capitalize()} job {said.get('id')}"]
+    words += [f"on {said['node']}"] if "node" in said else []
+    account = f", account {said['account']}" if "account" in said else ""
+    return " ".join(words) + account
 
 
 def workers(context: typer.Context, as_json: AsJson = False) -> None:
@@ -222,4 +235,23 @@ def workers(context: typer.Context, as_json: AsJson = False) -> None:
         state = f"{worker.state}: {worker.problem}" if worker.problem else worker.state
         jobs = worker.jobs or ((worker.job,) if worker.job else ())
         table.add_row(*map(Text, (worker.name, worker.device, state, ", ".join(jobs) or "none")))
+    Console().print(table)
+
+
+def slots(context: typer.Context, as_json: AsJson = False) -> None:
+    """Show how many jobs wait and run, by what they ask of a worker."""
+    found = client_of(context).slots()
+    if as_json:
+        print_json(found)
+        return
+    if not found.items:
+        print("No job waits or runs.")
+        return
+    table = Table(box=None, pad_edge=False)
+    for column in ("DEVICE", "HOSTS", "QUEUED", "RUNNING", "OLDEST"):
+        table.add_column(column)
+    for one in found.items:
+        device = f"{one.gpus} GPU{'s' if one.gpus > 1 else ''}" if one.gpus else one.accelerator
+        age = "" if one.oldest_queued_s is None else duration(one.oldest_queued_s)
+        table.add_row(*map(Text, (device, str(one.hosts), str(one.queued), str(one.running), age)))
     Console().print(table)

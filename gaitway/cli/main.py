@@ -71,6 +71,7 @@ for command in (
     environments.preview,
     sweeps.sweep,
     jobs.workers,
+    jobs.slots,
 ):
     app.command()(command)
 app.command("open")(watch.open_job)

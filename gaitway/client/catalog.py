@@ -14,7 +14,7 @@ from gaitway.addresses import POLL_S
 from gaitway.client.connection import Connection
 from gaitway.concurrency import sleep
 from gaitway.errors import Rejected, WaitTimeout
-from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, WorkerView
+from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, SlotsView, WorkerView
 
 # As the service allows.
 _LONGEST_NAME = 100
@@ -131,6 +131,12 @@ class Catalog(Connection):
     def workers(self, *, limit: int | None = None) -> Iterator[WorkerView]:
         """The workers that have sent a heartbeat lately, by name; at most `limit`."""
         return self._all("/workers", WorkerView, limit, {})
+
+    def slots(self, *, counted_as: str | None = None) -> SlotsView:
+        """How many workers the queue wants, by kind. counted_as: `cpu` or `gpu`, where jobs count that ask
+        for no particular device; otherwise they are of the kind `any`."""
+        params = {} if counted_as is None else {"counted_as": counted_as}
+        return self._get("/slots", SlotsView, params=params)
 
     def health(self) -> Mapping[str, Any]:
         """The service's readiness. Raises Unavailable when a part of it is unavailable."""

@@ -11,6 +11,8 @@ from gaitway.schema.catalog import (
     ModelView,
     PreviewView,
     SliceView,
+    SlotsView,
+    SlotView,
     StillView,
     WorkerView,
 )
@@ -40,6 +42,8 @@ __all__ = [
     "PreviewView",
     "ProgressView",
     "SliceView",
+    "SlotView",
+    "SlotsView",
     "StillView",
     "SweepDetails",
     "SweepView",

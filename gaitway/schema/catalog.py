@@ -1,4 +1,5 @@
-"""Environments and users' own models, which a job may name; their stills, and the workers that run jobs."""
+"""Environments and users' own models, which a job may name; their stills; the workers that run jobs, and how
+many are wanted."""
 
 from collections.abc import Mapping
 from datetime import datetime
@@ -121,7 +122,8 @@ class WorkerView(View):
     job: the one that it took from the queue. jobs: all whose attempts it runs now. state: a `ready` worker
     takes jobs or has one; it takes none while it tests its device, or after that has failed a test. problem:
     a sentence on that failure. memory_bytes: of each of its devices, where known. packages: the optional
-    packages that it has; null if a worker of an older version did not report them.
+    packages that it has; null if a worker of an older version did not report them. allocation: what the
+    cluster that started it calls the allocation it runs in: `scheduler`, `id`, `node`, `account`.
     """
 
     name: str
@@ -135,5 +137,30 @@ class WorkerView(View):
     problem: str | None = None
     memory_bytes: int | None = None
     packages: tuple[str, ...] | None = None
+    allocation: dict[str, str] | None = None
     started_at: datetime
     seen_at: datetime
+
+
+class SlotView(View):
+    """The jobs that ask the same of a worker. accelerator: `any` is one GPU or a CPU. gpus: of each host.
+
+    queued: jobs that may begin now; running: jobs that a worker holds. oldest_queued_s: for how long the
+    oldest of the queued has waited; null if none waits.
+    """
+
+    accelerator: str
+    gpus: int = 0
+    hosts: int = 1
+    queued: int = 0
+    running: int = 0
+    oldest_queued_s: float | None = None
+
+
+class SlotsView(View):
+    """How many workers the queue wants, by kind, and of all these kinds together."""
+
+    items: tuple[SlotView, ...] = ()
+    queued: int = 0
+    running: int = 0
+    oldest_queued_s: float | None = None

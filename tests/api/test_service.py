@@ -33,6 +33,7 @@ from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from core.settings import ApiSettings, StoreSettings, WorkerSettings
 from core.storage import keys
+from gaitway import Client
 from tests.api.conftest import ARTIFACT, NOON, Attempt, Stack, job, serving
 from tests.api.problems import problem
 
@@ -182,6 +183,20 @@ def test_a_worker_has_all_jobs_whose_attempts_run_there(stack: Stack) -> None:
         stack.store.announce(worker, timedelta(minutes=1))
     items = stack.http.get("/workers").json()["items"]
     assert [item["jobs"] for item in items] == [[first.id, fourth.id], ["000000000004-0000000000"], []]
+
+
+def test_the_slots_that_are_wanted_are_counted_by_kind(stack: Stack) -> None:
+    for number, resources in enumerate(({}, {"accelerator": "cpu"}, {"gpus": 4})):
+        stack.store.add(job(f"{number:012x}-0000000000", resources=resources))
+    whole = stack.http.get("/slots").json()
+    kinds = [(one["accelerator"], one["gpus"], one["hosts"], one["queued"]) for one in whole["items"]]
+    assert kinds == [("any", 0, 1, 1), ("cpu", 0, 1, 1), ("gpu", 4, 1, 1)]
+    on_cpu = stack.http.get("/slots", params={"counted_as": "cpu", "accelerator": "cpu"}).json()
+    assert (on_cpu["queued"], on_cpu["running"], on_cpu["oldest_queued_s"] > 0) == (2, 0, True)
+    none = stack.http.get("/slots", params={"gpus": 8}).json()
+    assert none == {"items": [], "queued": 0, "running": 0, "oldest_queued_s": None}
+    with Client(f"http://127.0.0.1:{stack.port}") as client:
+        assert [one.queued for one in client.slots(counted_as="gpu").items] == [1, 1, 1]
 
 
 def test_a_service_is_ready_while_both_stores_answer(stack: Stack) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from core.errors import JobExists, JobNotFound, LeaseLost, StaleJob
 from core.jobs.job import Job, new_job_id
+from core.jobs.queue import LAST
 from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, JobStore
 from core.reasons import Reason
@@ -382,3 +383,31 @@ def test_a_record_whose_tables_were_emptied_is_watched_again(jobs: JobStore, dat
     watch(jobs, database)
     database.end_lease(claimed)
     assert list(jobs.expired()) == [claimed]
+
+
+class TestCounts:
+    def test_what_may_begin_and_what_is_held_counts_by_queue(self, jobs: JobStore) -> None:
+        gpu = {"resources": {"gpus": 2}}
+        for at_s, said in enumerate(({}, gpu, {**gpu, "priority": "high"})):
+            jobs.add(queued_job(at_s, **said))
+        held(jobs, queued_job(10))
+        jobs.add(cancelled(queued_job(11)))
+        later = held(jobs, queued_job(12, resources={"accelerator": "cpu"}))
+        paused = later.requeued(Reason.NATIVE_CRASH, "", NOW, not_before=jobs.now() + timedelta(minutes=1))
+        jobs.save(paused)
+        jobs.add_model(model(status="validating"))
+        counts = {one.queue: (one.queued, one.running) for one in jobs.queue_counts()}
+        assert counts == {
+            "gaitway-any-normal": (1, 1),
+            "gaitway-gpu2-normal": (1, 0),
+            "gaitway-gpu2-high": (1, 0),
+            LAST: (1, 0),
+        }
+
+    def test_a_job_that_was_given_back_waits_since_then(self, jobs: JobStore) -> None:
+        first, second = held(jobs, queued_job()), queued_job(resources={"accelerator": "cpu"})
+        jobs.save(first.requeued(Reason.WORKER_DRAINED, "", jobs.now() - timedelta(seconds=30)))
+        jobs.add(second)
+        ages = {one.queue: one.oldest_queued_s or 0 for one in jobs.queue_counts()}
+        assert 30 <= ages["gaitway-any-normal"] < 60
+        assert ages["gaitway-cpu-normal"] >= (jobs.now() - second.created_at).total_seconds() - 60

@@ -57,6 +57,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "beat": lambda jobs: jobs.beat(LEASE),
         "name_model": lambda jobs: jobs.name_model(MODEL, "a dog"),
         "waiting": lambda jobs: jobs.waiting(),
+        "queue_counts": lambda jobs: jobs.queue_counts(),
         "jobs_of": lambda jobs: jobs.jobs_of([job.id]),
         "undispatched": lambda jobs: jobs.undispatched(),
         "dispatched": lambda jobs: jobs.dispatched([Dispatch("attempt", job.id, 1)]),

@@ -12,18 +12,22 @@ import structlog
 from sqlalchemy import (
     ARRAY,
     Connection,
+    Double,
     Integer,
     Text,
     all_,
     and_,
     bindparam,
     case,
+    cast,
     delete,
     func,
+    literal,
     not_,
     or_,
     select,
     true,
+    union_all,
     update,
 )
 from sqlalchemy.dialects.postgresql import insert
@@ -31,11 +35,13 @@ from sqlalchemy.dialects.postgresql import insert
 from core.adapters.postgres import models
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.rows import HELD, interval, jobs_of_rows
-from core.adapters.postgres.tables import NOW, dispatches, jobs, pulse
+from core.adapters.postgres.tables import NOW, UNFINISHED, attempts, dispatches, jobs, pulse
+from core.adapters.postgres.tables import models as models_table
 from core.errors import LeaseLost
 from core.jobs.attempts import PAUSES
 from core.jobs.job import Job, UnreadableJob
-from core.jobs.queue import MOST_WAITING, all_queues
+from core.jobs.queue import LAST, MOST_WAITING, all_queues
+from core.jobs.slots import QueueCount
 from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch
 
@@ -93,6 +99,10 @@ class LeaseQueries(Session):
         room = dict.fromkeys(all_queues(), MOST_WAITING) if room is None else room
         with self._statements() as connection:
             return [*_waiting(connection, room, but_not), *models.waiting(connection)]
+
+    def queue_counts(self) -> Sequence[QueueCount]:
+        with self._statements() as connection:
+            return [QueueCount(*row) for row in connection.execute(_queue_counts())]
 
     def undispatched(self) -> Sequence[Dispatch]:
         of_jobs = dispatches.outerjoin(jobs, dispatches.c.subject.collate("C") == jobs.c.id)
@@ -167,3 +177,32 @@ def _is_due() -> Any:
     """
     not_yet = and_(jobs.c.not_before > NOW, jobs.c.not_before <= NOW + max(PAUSES))
     return or_(jobs.c.not_before.is_(None), not_(not_yet))
+
+
+def _queue_counts() -> Any:
+    """Rows of a `QueueCount`, in one statement: a job counts once, however it changes meanwhile."""
+    is_queued = and_(jobs.c.status == "queued", _is_due())
+    last = and_(attempts.c.job_id == jobs.c.id, attempts.c.number == jobs.c.num_attempts)
+    since = func.coalesce(attempts.c.ended_at, jobs.c.created_at)
+    of_jobs = (
+        select(
+            jobs.c.queue,
+            func.count().filter(is_queued),
+            func.count().filter(jobs.c.status.in_(HELD)),
+            _age_s(func.min(since).filter(is_queued)),
+        )
+        .select_from(jobs.outerjoin(attempts, last))
+        .where(jobs.c.status.in_(UNFINISHED))
+        .group_by(jobs.c.queue)
+        .having(func.count().filter(or_(is_queued, jobs.c.status.in_(HELD))) > 0)
+    )
+    of_models = (
+        select(literal(LAST), func.count(), literal(0), _age_s(func.min(models_table.c.created_at)))
+        .where(models_table.c.status == "validating")
+        .having(func.count() > 0)
+    )
+    return union_all(of_jobs, of_models)
+
+
+def _age_s(moment: Any) -> Any:
+    return case((moment.is_not(None), cast(func.greatest(0, func.extract("epoch", NOW - moment)), Double)))

@@ -423,6 +423,7 @@ _FORMS: dict[str, Forms] = {
     "GET /environments/brax/{name}": _get(f"/environments/brax/ant?options={quote('{}'.ljust(5000))}"),
     "GET /algorithms": _get("/algorithms"),
     "GET /workers": _get("/workers?limit=200"),
+    "GET /slots": _get("/slots?counted_as=gpu&accelerator=gpu&gpus=64"),
     "GET /healthz": _get("/healthz"),
     "GET /readyz": _get("/readyz"),
     "GET /problems/{code}": _get("/problems/job-not-found"),
