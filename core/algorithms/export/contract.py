@@ -3,9 +3,10 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from core.algorithms.export.network import PolicyNetwork
+if TYPE_CHECKING:  # It writes this text into its files.
+    from core.algorithms.export.network import PolicyNetwork
 
 FORMAT, VERSION = "gaitway-policy", 1
 
@@ -30,7 +31,7 @@ class PolicyOrigin:
     action_parts: Parts = ()
 
 
-def contract(network: PolicyNetwork, origin: PolicyOrigin) -> dict[str, Any]:
+def contract(network: "PolicyNetwork", origin: PolicyOrigin) -> dict[str, Any]:
     """The contract as a JSON document (docs/export.md). Where no parts have names, the whole is one."""
     observation, action = network.observation_size, network.action_size
     return {
