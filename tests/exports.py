@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from core.algorithms.brax_training import init_normalizer
 from core.algorithms.export.contract import PolicyOrigin, contract
-from core.algorithms.export.network import PolicyNetwork, network_of, numpy_file
+from core.algorithms.export.network import PolicyNetwork, network_of
+from core.algorithms.export.numpy_file import numpy_file
 from core.algorithms.export.onnx_file import onnx_file
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
 from core.algorithms.ppo.policy import make_inference as ppo_inference

@@ -13,7 +13,8 @@ from typing import Any
 
 from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.export.contract import PolicyOrigin, contract
-from core.algorithms.export.network import NotExportable, PolicyNetwork, network_of, numpy_file
+from core.algorithms.export.network import NotExportable, PolicyNetwork, network_of
+from core.algorithms.export.numpy_file import numpy_file
 from core.environments.environment import Environment, Wrapped
 from core.environments.mujoco_env import MujocoEnv
 from core.environments.simulation import NotSimulated

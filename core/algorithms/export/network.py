@@ -1,6 +1,5 @@
 """A policy file as the numbers of one network."""
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.algorithms.export.contract import as_text
 from core.algorithms.policy_file import read_policy
 
 Numbers = NDArray[np.float32]
@@ -93,17 +91,3 @@ def _layers(parts: Any) -> tuple[PolicyLayer, ...]:
 
 def _float32(values: Any) -> Numbers:
     return np.asarray(values, np.float32)
-
-
-def numpy_file(network: PolicyNetwork, about: Mapping[str, Any]) -> bytes:
-    """The whole network and its contract, `about`, which is JSON text. Equal ones give equal bytes."""
-    arrays: dict[str, Any] = {
-        "about": np.array(as_text(about)),
-        "observation_mean": network.mean,
-        "observation_std": network.std,
-    }
-    for number, layer in enumerate(network.layers):
-        arrays |= {f"kernel_{number}": layer.kernel, f"bias_{number}": layer.bias}
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    return file.getvalue()

@@ -12,7 +12,8 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from core.algorithms.export.contract import PolicyOrigin, contract
-from core.algorithms.export.network import PolicyLayer, PolicyNetwork, numpy_file
+from core.algorithms.export.network import PolicyLayer, PolicyNetwork
+from core.algorithms.export.numpy_file import numpy_file
 from core.environments.mujoco_env import MujocoEnv
 from core.jobs.status import JobStatus
 from core.rendering.replay.replay import replay_of, scene_of

@@ -2,27 +2,10 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
-
-import llvmlite.binding as llvm
 
 from core.physics.compiled.code.arrays import array_sizes
-from core.physics.compiled.code.gpu_kernel import TRIPLE
 from core.physics.compiled.code.kept_code import kept
 from core.physics.compiled.program.program import Program
-
-
-def ptx(module: str, compute_capability: str) -> str:
-    """PTX for cards of this compute capability, such as "9.0". Raises RuntimeError for a wrong module."""
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    machine: Any = llvm.Target.from_triple(TRIPLE).create_target_machine(
-        cpu=f"sm_{compute_capability.replace('.', '')}", opt=2
-    )
-    parsed: Any = llvm.parse_assembly(module)
-    parsed.verify()
-    return machine.emit_assembly(parsed)
-
 
 FUNCTION = "move"
 # Operations of a section of a long program. LLVM is quickest with short ones, NVIDIA's assembler with few.
@@ -69,6 +52,7 @@ class FunctionSource:
         """For cards of this compute capability."""
         from core.physics.compiled.code.gpu_kernel import gpu_kernel, most_warps
         from core.physics.compiled.code.long_writer import is_long
+        from core.physics.compiled.code.ptx import ptx
 
         def make() -> bytes:
             program = self._checked(self.write_lanes())

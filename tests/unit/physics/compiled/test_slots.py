@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from core.physics.compiled.code.cpu_function import cpu_function
-from core.physics.compiled.code.function_source import ptx
 from core.physics.compiled.code.gpu_kernel import gpu_kernel
 from core.physics.compiled.code.machine_code import loaded, machine_code
+from core.physics.compiled.code.ptx import ptx
 from core.physics.compiled.code.slots import Section, slotted
 from core.physics.compiled.program.arithmetic import Number, cosine, dot, maximum, select, sine, total
 from core.physics.compiled.program.flow import repeat, where_needed
