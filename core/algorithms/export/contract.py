@@ -3,10 +3,9 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:  # It writes this text into its files.
-    from core.algorithms.export.network import PolicyNetwork
+from core.algorithms.export.network import PolicyNetwork
 
 FORMAT, VERSION = "gaitway-policy", 1
 
@@ -31,7 +30,7 @@ class PolicyOrigin:
     action_parts: Parts = ()
 
 
-def contract(network: "PolicyNetwork", origin: PolicyOrigin) -> dict[str, Any]:
+def contract(network: PolicyNetwork, origin: PolicyOrigin) -> dict[str, Any]:
     """The contract as a JSON document (docs/export.md). Where no parts have names, the whole is one."""
     observation, action = network.observation_size, network.action_size
     return {
