@@ -15,6 +15,7 @@ from urllib.parse import quote, urlsplit
 
 from pydantic import (
     AfterValidator,
+    AwareDatetime,
     BeforeValidator,
     ByteSize,
     Field,
@@ -217,6 +218,20 @@ class WorkerSettings(StoreSettings):
     )
     grace: Seconds = Field(
         timedelta(seconds=60), description="Time from a cancel, timeout or drain to SIGKILL."
+    )
+    idle_exit: Seconds | None = Field(
+        None,
+        description="A worker that has had no job for this long ends by itself; unset, it waits for ever.",
+    )
+    ends_at: AwareDatetime | None = Field(
+        None,
+        description="When the worker's machine is taken away, in seconds since 1970 or as RFC 3339: it "
+        "drains GAITWAY_GRACE and 15 s before. Slurm's workers take it from Slurm.",
+    )
+    start_margin: Seconds = Field(
+        timedelta(seconds=120),
+        description="Time from the start of a job to its first checkpoint: with less left before "
+        "GAITWAY_ENDS_AT, a worker takes no further job and ends.",
     )
     stall: Seconds = Field(
         timedelta(minutes=10),

@@ -36,6 +36,7 @@ from core.jobs.workers import WorkerInfo, packages_here
 from core.settings import WorkerSettings
 from core.variables import variable
 from worker.host import device_health
+from worker.host.allocation import TimeLeft, allocation
 from worker.host.device import device_memory, device_of, visible_gpus
 from worker.host.device_health import DeviceHealth
 from worker.host.disk import check_folder
@@ -78,6 +79,9 @@ class GaitwayWorker(rq.Worker):
         self._is_announcing = False
         self._preparation = IdlePreparation(device, settings.prepared)
         self._idle_since = inf
+        self._time_left = TimeLeft(settings.ends_at, settings.grace, settings.start_margin)
+        self._idle_exit_s = settings.idle_exit.total_seconds() if settings.idle_exit else inf
+        self._had_job_at = time.monotonic()
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
         now = utc_now()
         self._info = WorkerInfo(
@@ -88,6 +92,7 @@ class GaitwayWorker(rq.Worker):
             queues=queue_names(device),
             memory_bytes=device_memory(device, settings.memory_limit),
             packages=packages_here(),
+            allocation=allocation(os.environ) or None,
             started_at=now,
             seen_at=now,
         )
@@ -174,6 +179,7 @@ class GaitwayWorker(rq.Worker):
 
     def heartbeat(self, *args: Any, **kwargs: Any) -> None:
         """Show a sign of life. Raises StopRequested if the worker must shut down."""
+        self._end_in_time()
         self._go_if_told()
         self._end_stopped_horse()
         self._clear_up()
@@ -208,6 +214,22 @@ class GaitwayWorker(rq.Worker):
         self._idle_since = inf
         after_a_preview = reference_queue.name == FIRST
         self._ordered_queues = sorted(self.queues, key=lambda queue: after_a_preview and queue.name == FIRST)
+
+    def _end_in_time(self) -> None:
+        """Shut down before the machine is taken away, or because nothing has been there to do for long."""
+        if self._stop_requested:
+            return
+        if self.get_state() == rq.worker.WorkerStatus.BUSY:
+            self._had_job_at = time.monotonic()
+            self._stop_requested = self._time_left.is_over()
+            if self._stop_requested:
+                log.info("worker_drains", detail="Its machine is taken away soon.")
+        elif self._time_left.is_too_short():
+            log.info("worker_ends", detail="The time that is left is too short for another job.")
+            self._stop_requested = True
+        elif time.monotonic() - self._had_job_at >= self._idle_exit_s:
+            log.info("worker_ends", detail=f"It has had no job for {self._idle_exit_s:g} s.")
+            self._stop_requested = True
 
     def _wait_for_device(self) -> None:
         shown, shown_at = "", 0.0
@@ -278,17 +300,26 @@ class GaitwayWorker(rq.Worker):
         self._go_if_told()
 
     def request_stop(self, signum: Any, frame: Any) -> None:
-        """First SIGTERM or SIGINT: the job drains, then the worker goes. RQ itself would only wait.
+        """First signal: the job drains, then the worker goes. RQ itself would only wait.
+
+        A second SIGINT ends the job at once. Other signals come again without asking for that: Slurm sends
+        SIGTERM to every process of a job, then again at its end, and a batch script passes it on, too.
 
         The code that the exception interrupts may swallow it, as redis-py does where it counts commands. So
         the exception is only the fast way, and every heartbeat checks again.
         """
+        if self._stop_requested:
+            return
         self._stop_requested = True
         signal.signal(signal.SIGINT, self.request_force_stop)
-        signal.signal(signal.SIGTERM, self.request_force_stop)
         # A database's driver may take an exception for a failure of its own.
         if not self._is_announcing:
             self._go_if_told()
+
+    def _install_signal_handlers(self) -> None:
+        super()._install_signal_handlers()
+        # Slurm's warning, where a script asks for this signal and Slurm sends it to all processes.
+        signal.signal(signal.SIGUSR1, self.request_stop)
 
     def _go_if_told(self) -> None:
         if not self._stop_requested:

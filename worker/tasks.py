@@ -24,6 +24,7 @@ from core.previews.record import PreviewRequest
 from core.retry import CalledOff, pause, retry_while_unavailable
 from core.settings import WorkerSettings
 from worker.host import device_health
+from worker.host.allocation import allocation
 from worker.host.device import device_of
 from worker.host.disk import has_room, what_to_do
 from worker.host.locks import slot_names
@@ -43,7 +44,8 @@ _PAUSE_S = 5.0
 def run_attempt(job_id: str, attempt: int) -> None:
     """Claim the attempt and see it to its end; an outdated dispatch does nothing."""
     draining = Draining()
-    signal.signal(signal.SIGTERM, draining.set)
+    for number in (signal.SIGTERM, signal.SIGUSR1):
+        signal.signal(number, draining.set)
     # The work-horse of a killed worker ends, too, but drains first: SIGTERM, not SIGKILL.
     die_with_parent(signal_number=signal.SIGTERM)
     structlog.contextvars.bind_contextvars(job_id=job_id, attempt=attempt)
@@ -69,6 +71,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
         objects=object_store(settings),
         lease=settings.lease,
         secret=new_secret(),
+        details={"allocation": where} if (where := allocation(os.environ)) else {},
     )
     try:
         job = retry_while_unavailable(partial(store.get, job_id), called_off=draining.is_set)

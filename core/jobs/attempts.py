@@ -1,7 +1,7 @@
 """An attempt's writes to its job: each carries the attempt's token, so that a stale one changes nothing."""
 
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
@@ -29,10 +29,17 @@ class Claim:
     objects: ObjectStore
 
     def start(self, **facts: Any) -> Job:
-        """Set the job to running, with facts about the attempt. A job that is being cancelled stays so."""
-        return self._change(
-            lambda job: job.running(**facts) if job.status == JobStatus.STARTING else job.noted(**facts)
-        )
+        """Set the job to running, with facts about the attempt. A job that is being cancelled stays so.
+
+        details: added to those that the claim has stored.
+        """
+
+        def change(job: Job) -> Job:
+            details = {**job.attempts[-1].details, **facts.get("details", {})}
+            said = {**facts, "details": details}
+            return job.running(**said) if job.status == JobStatus.STARTING else job.noted(**said)
+
+        return self._change(change)
 
     def publish(self, artifacts: tuple[Artifact, ...], keep_checkpoints: int) -> tuple[Job, list[str]]:
         """Record these files, already in the object store; drop all but the newest `keep_checkpoints`.
@@ -111,24 +118,24 @@ def claim_attempt(  # noqa: PLR0913 # Who, what, and where it is written.
     objects: ObjectStore,
     lease: timedelta,
     secret: str,
+    details: Mapping[str, Any] | None = None,
 ) -> Claim | None:
     """Claim a queued job; None where another attempt has it, or this dispatch is an old one.
 
     secret: a fresh one for each claim. If the answer was lost, a call with the same secret returns the same
-    claim again.
+    claim again. details: facts about the attempt that are known before it starts.
     """
     job = store.get(job_id)
     claimed = None
     if job.status == JobStatus.QUEUED and job.next_attempt == number:
-        claimed = _claimed(job, worker, secret, store, lease)
+        claimed = _claimed(job.claimed(worker, store.now(), secret, details or {}), store, lease)
     elif job.token == Job.token_of(number, secret):
         claimed = job
     return None if claimed is None else Claim(job_id, number, claimed.token, store, objects)
 
 
-def _claimed(job: Job, worker: str, secret: str, store: JobStore, lease: timedelta) -> Job | None:
+def _claimed(claimed: Job, store: JobStore, lease: timedelta) -> Job | None:
     try:
-        claimed = job.claimed(worker, store.now(), secret)
         store.save(claimed, lease=lease)
     except (StaleJob, IllegalTransition):
         return None

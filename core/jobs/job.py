@@ -2,7 +2,7 @@
 
 import re
 import secrets
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from typing import Any, Literal, Self
 
@@ -205,10 +205,18 @@ class Job(Stored):
         """The token of an attempt. secret: known only to the claimant, and different for each claim."""
         return f"{number}-{secret}"
 
-    def claimed(self, worker: str, now: datetime, secret: str = "") -> Self:
+    def claimed(
+        self, worker: str, now: datetime, secret: str = "", details: Mapping[str, Any] | None = None
+    ) -> Self:
         """The job as starting, with a new attempt; without a secret, a fresh one is made."""
         token = self.token_of(self.next_attempt, secret or secrets.token_hex(8))
-        attempt = Attempt(number=self.next_attempt, token=token, worker=worker, started_at=now)
+        attempt = Attempt(
+            number=self.next_attempt,
+            token=token,
+            worker=worker,
+            details=dict(details or {}),
+            started_at=now,
+        )
         return self.become(
             JobStatus.STARTING,
             attempts=(*self.attempts, attempt),

@@ -32,7 +32,7 @@ class WorkerInfo(Stored):
     store adds them. state: a `ready` worker takes jobs or has one; it takes none while it tests its device,
     or after that has failed a test. problem: a sentence on that failure. memory_bytes: of each of its
     devices, where known. packages: the optional packages that it has; null if a worker of an older version
-    did not report them.
+    did not report them. allocation: what the cluster that started it calls the allocation it runs in.
     """
 
     name: str
@@ -46,6 +46,7 @@ class WorkerInfo(Stored):
     problem: str | None = None
     memory_bytes: int | None = None
     packages: tuple[str, ...] | None = None
+    allocation: dict[str, str] | None = None
     started_at: datetime
     seen_at: datetime
 

@@ -2,11 +2,13 @@
 
 import json
 import os
+import signal
 import threading
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from core.adapters.postgres.store import PostgresJobStore
@@ -173,6 +175,17 @@ def test_a_drain_is_said_again_to_who_missed_it(bench: Bench) -> None:
         supervisor.draining.set()
     (attempt,) = bench.store.get(job.id).attempts
     assert attempt.message == "The worker was shut down. The work up to then is kept."
+
+
+def test_a_signal_to_all_processes_of_a_worker_is_a_drain(bench: Bench) -> None:
+    """Slurm ends a job so: the training may hear of it, and end, before its supervisor does."""
+    job = bench.submit(max_attempts=1)
+    with bench.running(job, "waits") as supervisor:
+        (training,) = [one for one in psutil.Process().children() if "waits" in one.cmdline()]
+        training.send_signal(signal.SIGTERM)
+        threading.Timer(0.3, supervisor.draining.set).start()
+    ended = bench.store.get(job.id)
+    assert (ended.status, ended.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
 
 
 def test_a_drain_is_heard_by_who_waits_for_the_device(bench: Bench) -> None:

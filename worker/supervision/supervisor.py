@@ -37,7 +37,7 @@ from worker.host.disk import is_full, what_to_do
 from worker.host.locks import SlotTaken, slots
 from worker.host.memory import MemoryWatch, allowed_bytes
 from worker.protocol import Advanced, Failed, Finished, Noted, PhaseBegan, PhaseEnded
-from worker.stopping import Draining, Stop
+from worker.stopping import DRAIN_SIGNAL, STOP_SIGNAL, Draining, Stop
 from worker.supervision.measurements import store_metrics
 from worker.supervision.outbox import Outbox
 from worker.supervision.outcome import Outcome, judge
@@ -57,6 +57,8 @@ _COMPILED = ("compile", "first_update")
 _STORAGE_TIMEOUT_S = 86_400.0
 # The last uploads get at least this time, even if the training process has used up the grace time.
 _LAST_S = 3.0
+# For so long a signal to all processes may be on its way to this one.
+_TOLD_WITHIN_S = 1.0
 
 
 @dataclass
@@ -205,7 +207,22 @@ class Supervisor:
         readers.join()
         if status == 0:  # A process that crashed may have left kernels that would crash the next.
             readers.caches.keep()
+        if stop is None and self._was_told_to_leave(readers.last_word, status):
+            stop = Stop.DRAIN
         return judge(readers.last_word, status, stop, timeout_s, memory_ran_out=memory_ran_out)
+
+    def _was_told_to_leave(self, last_word: Failed | Finished | None, status: int) -> bool:
+        """Whether a signal to all processes of the worker ended the training, before it was asked to drain.
+
+        Slurm ends a job so; the worker and this process hear of it a moment before or after.
+        """
+        was_stopped = isinstance(last_word, Finished) and last_word.stopped
+        if not was_stopped and -status not in (STOP_SIGNAL, DRAIN_SIGNAL):
+            return False
+        deadline = time.monotonic() + _TOLD_WITHIN_S
+        while not self.draining.is_set() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        return self.draining.is_set()
 
     def _after_test(self, outcome: Outcome, folder: Path, slot_fds: Sequence[int]) -> Outcome:
         """Test a device that may have caused the end; one that fails is set aside and named as the reason."""

@@ -51,6 +51,12 @@ export function lastReturn(job) {
   return null;
 }
 
+/** What the cluster calls the allocation that a worker runs in: `Slurm job 4711 on n1, account vnl`. */
+export function allocated({ scheduler, id, node, account }) {
+  const name = scheduler === "slurm" ? "Slurm" : scheduler;
+  return `${name} job ${id}${node ? ` on ${node}` : ""}${account ? `, account ${account}` : ""}`;
+}
+
 /** @param {object[]} workers All of them. */
 export function whyQueued(job, workers) {
   if (job.waiting_for) return job.waiting_for;

@@ -3,7 +3,7 @@
 import { everyItem, get } from "../lib/api.js";
 import { ago, bytes, moment } from "../lib/format.js";
 import { html } from "../lib/html.js";
-import { environmentOf, title, whyQueued } from "../lib/job.js";
+import { allocated, environmentOf, title, whyQueued } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
 import { Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
 
@@ -44,6 +44,7 @@ const Worker = ({ worker }) => html`<section class="card">
     <dt>State</dt><dd>${state(worker)}${worker.problem ? `: ${worker.problem}` : ""}</dd>
     <dt>Device</dt><dd>${worker.device}${worker.memory_bytes ? `, ${bytes(worker.memory_bytes)}` : ""}</dd>
     <dt>Host</dt><dd>${worker.host}, process ${worker.pid}</dd>
+    ${worker.allocation && html`<dt>Cluster</dt><dd>${allocated(worker.allocation)}</dd>`}
     <dt>Packages</dt><dd>${worker.packages?.join(", ") || "none beyond the needed"}</dd>
     <dt>Since</dt><dd>${moment(worker.started_at)}; seen ${ago(worker.seen_at)}</dd>
   </dl>

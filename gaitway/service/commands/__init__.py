@@ -3,7 +3,7 @@
 import typer
 
 from gaitway.cli.common import PASS_ON
-from gaitway.service.commands import check, doctor, play, profile, run, services
+from gaitway.service.commands import check, cluster, doctor, play, profile, run, services
 
 
 def add_to(app: typer.Typer, *, hidden: bool) -> None:
@@ -12,3 +12,4 @@ def add_to(app: typer.Typer, *, hidden: bool) -> None:
         app.command(hidden=hidden)(command)
     for command in (services.demo, services.api, services.worker):
         app.command(hidden=hidden, context_settings=PASS_ON)(command)
+    app.add_typer(cluster.cluster, name="cluster", hidden=hidden)

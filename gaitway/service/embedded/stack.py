@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, Self
 
 from core.errors import EXIT_STATUS, Unavailable
-from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.folders import private_folder, write_private
 from gaitway.service.embedded.interruption import Interruption
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess
 from gaitway.service.embedded.servers import EmbeddedServers
@@ -30,6 +30,8 @@ FIRST_PORT = 8000
 _PORTS_TRIED = 100
 _GRACE_S = 30
 _WORKER = "worker-"
+# The settings of the stores, as long as they run; a file that only this user reads.
+STORES = "stores.json"
 _MAX_RESTARTS = 5  # within this time:
 _RESTART_WINDOW_S = 60.0
 _HEALTH_CHECK_EVERY_S = 1.0
@@ -175,6 +177,8 @@ class Stack:
                 # Other processes would take a missing database or bucket for a wrong setting.
                 servers.wait_ready()
         self._where_servers_are = json.dumps(servers.environment())
+        # For `gaitway cluster`, which starts workers elsewhere.
+        write_private(self._folder / STORES, self._where_servers_are)
         for process in (reconciler, api):
             process.send_input(self._where_servers_are)
         for number in range(1, self._num_workers + 1):
@@ -214,6 +218,10 @@ class Stack:
         }
 
     def _stop(self) -> None:
+        (self._folder / STORES).unlink(missing_ok=True)
+        self._stop_processes()
+
+    def _stop_processes(self) -> None:
         """Stop the workers first, all at once: they save their results. A second signal ends the wait."""
         signals_before = self._interruption.count
         workers = [m.process for m in self._modules if m.process.name.startswith(_WORKER)]

@@ -56,6 +56,14 @@ def positive(text: str) -> int:
     return number
 
 
+def not_negative(text: str) -> int:
+    """A whole number, for argparse."""
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{number} is below zero")
+    return number
+
+
 def port_number(text: str) -> int:
     """A TCP port, for argparse."""
     number = positive(text)
@@ -70,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--port", type=port_number, help="of the API; by default 8000 or the next free one")
     parser.add_argument("--data", type=Path, default=data_folder(), metavar="DIR")
-    parser.add_argument("--workers", type=positive, default=1, metavar="N")
+    parser.add_argument("--workers", type=not_negative, default=1, metavar="N")
     chosen = parser.parse_args(arguments)
     return run_stack(chosen.data, port=chosen.port, num_workers=chosen.workers)
 

@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
@@ -80,6 +80,41 @@ def test_a_work_horse_that_missed_the_stop_is_told_again(
     worker.set_state(WorkerStatus.BUSY)
     signal.signal(signal.SIGTERM, worker.request_stop)
     os.kill(os.getpid(), signal.SIGTERM)
+    with subprocess.Popen(["sleep", "60"]) as horse:
+        worker._horse_pid = horse.pid
+        worker.heartbeat()
+        assert horse.wait() == -signal.SIGTERM
+
+
+def test_a_second_sigterm_ends_no_job_at_once(settings: WorkerSettings, job_store: PostgresJobStore) -> None:
+    """Slurm sends it to all processes, and a batch script passes it on."""
+    worker = GaitwayWorker(settings, "cpu", job_store)
+    worker.set_state(WorkerStatus.BUSY)
+    signal.signal(signal.SIGTERM, worker.request_stop)
+    for _ in range(3):
+        os.kill(os.getpid(), signal.SIGTERM)
+    # It would be `request_force_stop`, which kills the work-horse.
+    assert signal.getsignal(signal.SIGTERM) == worker.request_stop
+
+
+def test_a_worker_without_a_job_ends_after_its_time_and_one_with_a_job_does_not(
+    settings: WorkerSettings, job_store: PostgresJobStore
+) -> None:
+    brief = settings.model_copy(update={"idle_exit": timedelta(microseconds=1)})
+    worker = GaitwayWorker(brief, "cpu", job_store)
+    worker.set_state(WorkerStatus.BUSY)
+    worker.heartbeat()
+    worker.set_state(WorkerStatus.IDLE)
+    with pytest.raises(StopRequested):
+        worker.heartbeat()
+
+
+def test_a_worker_drains_before_its_machine_is_taken_away(
+    settings: WorkerSettings, job_store: PostgresJobStore
+) -> None:
+    soon = datetime.now(UTC) + settings.grace
+    worker = GaitwayWorker(settings.model_copy(update={"ends_at": soon}), "cpu", job_store)
+    worker.set_state(WorkerStatus.BUSY)
     with subprocess.Popen(["sleep", "60"]) as horse:
         worker._horse_pid = horse.pid
         worker.heartbeat()
