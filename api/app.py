@@ -14,20 +14,21 @@ from ipaddress import ip_address
 from urllib.parse import urlsplit
 
 import structlog
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api import problems
-from api.dependencies import Service
+from api.access import authorize, undeclared
+from api.dependencies import Service, ServiceStore
 from api.openapi import describe, serve
 from api.problems import CrossSiteRequest, EdgeError, UnexpectedError, UnknownHost, answer
 from api.routes import ROUTERS
 from core.configuration import read
+from core.errors import Misconfigured
 from core.jobs.queue import JobQueue
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
-from core.sweeps.sweep import SweepStore
 
 _DESCRIPTION = """Train simulated bodies to walk: submit a training or a rollout, follow it, fetch its video.
 
@@ -41,7 +42,7 @@ _ACCEPTABLE = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 def create_app(
     settings: ApiSettings,
     *,
-    store: SweepStore,
+    store: ServiceStore,
     queue: JobQueue,
     objects: ObjectStore,
     patient: ObjectStore | None = None,
@@ -54,7 +55,12 @@ def create_app(
 
 
 def interface() -> FastAPI:
-    """Every route and its description; `create_app` adds what answers."""
+    """Every route and its description; `create_app` adds what answers.
+
+    Raises Misconfigured where a route does not say what it needs.
+    """
+    if missing := undeclared(ROUTERS):
+        raise Misconfigured(f"api.access.ROUTES and the routers differ in {', '.join(missing)}.")
     app = FastAPI(
         title="Gaitway",
         version=version("gaitway"),
@@ -68,7 +74,7 @@ def interface() -> FastAPI:
     serve(app)
     problems.install(app)
     for router in ROUTERS:
-        app.include_router(router)
+        app.include_router(router, dependencies=[Depends(authorize)])
     return app
 
 
@@ -103,7 +109,8 @@ def from_environment() -> FastAPI:
 class OriginCheck:
     """Access check for browsers: a page of another site may not read, submit or cancel anything.
 
-    There are no accounts. A foreign page is refused because its browser sends the page's origin (`Origin`,
+    With accounts or without: the browser would send the user's cookie. A foreign page is refused because its
+    browser sends the page's origin (`Origin`,
     `Sec-Fetch-Site`) and the host name that the page used (`Host`).
     allowed_hosts: names of this service, besides localhost and numeric addresses.
     If a foreign name resolves to this service (DNS rebinding), the browser takes that name's page and this
@@ -167,6 +174,7 @@ class Correlation:
             return
         sent = Headers(scope=scope).get(HEADER, "")
         correlation_id = sent if _ACCEPTABLE.fullmatch(sent) else secrets.token_hex(8)
+        scope.setdefault("state", {})["correlation_id"] = correlation_id
         with structlog.contextvars.bound_contextvars(correlation_id=correlation_id):
             await self._answer(scope, receive, _Sender(send, correlation_id), correlation_id)
 
@@ -182,6 +190,11 @@ class Correlation:
             if sender.status:  # Part of the answer is sent: only a broken connection can report this.
                 raise
             await answer(UnexpectedError(correlation_id), scope["path"])(scope, receive, sender)
+        if (audited := scope["state"].get("audited")) is not None and sender.status < 400:
+            action, actor = audited
+            # `/jobs/<id>/cancel`; of a new thing the header Location has the id.
+            about = f"{action.partition('.')[0]} {(sender.location or scope['path']).split('/')[2]}"
+            scope["app"].state.service.audit_log.add(actor, action, about)
         seconds = round(time.perf_counter() - started, 4)
         log.info(
             "request_answered",
@@ -193,15 +206,18 @@ class Correlation:
 
 
 class _Sender:
-    """Sends the answer with the correlation id, and keeps its status; 0 before the answer begins."""
+    """Sends the answer with the correlation id, and keeps its status and location; 0 before it begins."""
 
     def __init__(self, send: Send, correlation_id: str) -> None:
         self.status = 0
+        self.location = ""
         self._send = send
         self._correlation_id = correlation_id
 
     async def __call__(self, message: Message) -> None:
         if message["type"] == "http.response.start":
             self.status = message["status"]
-            MutableHeaders(scope=message)[HEADER] = self._correlation_id
+            headers = MutableHeaders(scope=message)
+            headers[HEADER] = self._correlation_id
+            self.location = headers.get("location", "")
         await self._send(message)

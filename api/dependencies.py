@@ -1,13 +1,16 @@
 """Dependencies of the routes: the service's parts, and checked parameters."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 from anyio import CapacityLimiter
 from fastapi import Depends, Path, Request
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from api.shared_reads import JobWatcher, RecentAnswers, SharedReads
+from api.audit_log import AuditLog
+from api.authentication import Authenticator
+from api.shared_reads import JobWatcher, Owners, RecentAnswers, SharedReads
+from core.accounts.store import AccountStore
 from core.jobs import feeds
 from core.jobs.job import JOB_ID, check_job_id
 from core.jobs.queue import JobQueue
@@ -18,6 +21,10 @@ from core.storage.objects import ObjectStore
 from core.sweeps.sweep import SweepStore
 
 _WATCHING_THREADS = 16
+
+
+class ServiceStore(SweepStore, AccountStore, Protocol):
+    """The whole record."""
 
 
 @dataclass
@@ -34,10 +41,12 @@ class Service:
     patient: the object store again, for a request that may take minutes; by default `objects`.
     num_uploads: models that are being received now.
     num_imports: exports that are being received or stored now.
+    authenticator: finds out who makes a request; None if the service has no accounts.
+    owners: of the jobs and sweeps that were asked for last.
     """
 
     settings: ApiSettings
-    store: SweepStore
+    store: ServiceStore
     queue: JobQueue
     objects: ObjectStore
     patient: ObjectStore | None = None
@@ -50,10 +59,16 @@ class Service:
     feed_reads: SharedReads[feeds.FeedPage | None] = field(default_factory=SharedReads[feeds.FeedPage | None])
     lists: RecentAnswers = field(default_factory=RecentAnswers)
     acknowledgements: Acknowledgements = field(init=False)
+    authenticator: Authenticator | None = field(init=False)
+    owners: Owners = field(default_factory=Owners)
+    audit_log: AuditLog = field(init=False)
 
     def __post_init__(self) -> None:
         self.watcher = JobWatcher(self.store)
         self.acknowledgements = Acknowledgements(self.store.dispatched)
+        most = self.settings.requests_per_second
+        self.authenticator = Authenticator(self.store, most) if self.settings.accounts else None
+        self.audit_log = AuditLog(self.store.note)
 
 
 async def _service(request: Request) -> Service:

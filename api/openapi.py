@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 
 from api.problems import MEDIA_TYPE, ProblemView
 from api.submissions import RESUMPTION
+from core.accounts.principal import Role, TokenScope
 from core.bounds import LARGEST_JOB_BYTES
 from core.environments.info import Device
 from core.jobs.job import ArtifactRole, JobPhase
@@ -40,7 +41,9 @@ _VALUES: dict[str, Any] = {
     "ModelStatus": ModelStatus,
     "PreviewStatus": Literal["ready", "drawing"],
     "Reason": Reason,
+    "Role": Role,
     "SweepStatus": SweepStatus,
+    "TokenScope": TokenScope,
     "WorkerState": WorkerState,
 }
 _PROBLEM = {"content": {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}}

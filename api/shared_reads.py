@@ -18,6 +18,7 @@ import anyio
 import structlog
 from anyio import CapacityLimiter, to_thread
 
+from core.accounts.principal import Ownership
 from core.errors import Unavailable
 from core.jobs.store import JobStore, Mark
 
@@ -78,6 +79,30 @@ class RecentAnswers:
             self._answers.move_to_end(question)
             if len(self._answers) > _MAX_ANSWERS:
                 self._answers.popitem(last=False)
+
+
+class Owners:
+    """Whose jobs and sweeps are, which never changes: the ones that were asked for last; thread-safe."""
+
+    _MOST = 10_000
+
+    def __init__(self) -> None:
+        self._known = OrderedDict[str, Ownership]()
+        self._lock = Lock()
+
+    def known(self, name: str) -> Ownership | None:
+        with self._lock:
+            return self._known.get(name)
+
+    def of(self, name: str, find: Callable[[str], Ownership]) -> Ownership:
+        """What `find` says, or has said. Raises what it raises."""
+        if (ownership := self.known(name)) is None:
+            ownership = find(name)
+            with self._lock:
+                self._known[name] = ownership
+                if len(self._known) > self._MOST:
+                    self._known.popitem(last=False)
+        return ownership
 
 
 class Watch:

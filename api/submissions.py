@@ -22,6 +22,7 @@ from pydantic_core import from_json
 from api.dependencies import ServiceDep
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.sentences import body_problems
+from core.accounts.principal import Principal
 from core.bounds import check_extent
 from core.documents import Strict
 from core.environments import catalog
@@ -30,6 +31,7 @@ from core.errors import Problem, Rejected, StorageUnavailable
 from core.jobs.resolved import resolve_environment
 from core.jobs.spec import JOB_SPEC, EnvironmentSpec, JobSpec
 from core.jobs.store import Idempotency
+from core.jobs.submission import check_readable_model
 from core.sweeps.spec import SWEEP_SPEC, Budget, SweepSpec
 from core.user_models.record import ModelStore
 
@@ -176,9 +178,9 @@ SubmittedSweep = Annotated[SweepSpec, Depends(_submitted_sweep)]
 IdempotencyKey = Annotated[str | None, Depends(_idempotency_key)]
 
 
-def idempotency(key: str | None, spec: JobSpec | SweepSpec) -> Idempotency | None:
+def idempotency(key: str | None, spec: JobSpec | SweepSpec, principal: Principal) -> Idempotency | None:
     """The key with the fingerprint of its submission; None without a key."""
-    return None if key is None else Idempotency(key, fingerprint(spec))
+    return None if key is None else Idempotency(key, fingerprint(spec), principal.user)
 
 
 @dataclass(frozen=True)
@@ -268,7 +270,9 @@ def in_the_query(refusal: Rejected) -> Rejected:
     return Rejected(refusal.detail, problems, **refusal.facts)
 
 
-def info_under(environment_id: str, options: str | None, store: ModelStore) -> EnvironmentInfo:
+def info_under(
+    environment_id: str, options: str | None, store: ModelStore, principal: Principal
+) -> EnvironmentInfo:
     """The environment's row of the catalog under these options; without any, the row itself.
 
     Raises EnvironmentNotFound, and Rejected with the same messages as for a job.
@@ -278,6 +282,7 @@ def info_under(environment_id: str, options: str | None, store: ModelStore) -> E
         return info
     environment = EnvironmentSpec(id=environment_id, options=parse_options(options))
     try:
+        check_readable_model(environment, principal.readable, store)
         return resolve_environment(environment, store)[0]
     except Rejected as refusal:
         raise in_the_query(refusal) from None

@@ -101,6 +101,8 @@ def job_view(job: Job | UnreadableJob, workers: Sequence[WorkerInfo] | None = No
         finished_at=job.finished_at,
         not_before=job.not_before,
         waiting_for=None if workers is None else what_it_waits_for(job, workers),
+        owner=job.owner,
+        project=job.project,
         imported_from=None if job.imported_from is None else OriginView.model_validate(job.imported_from),
         progress=ProgressView.model_validate(progress),
         attempts=tuple(AttemptView.model_validate(attempt) for attempt in job.attempts),
@@ -112,7 +114,7 @@ def job_view(job: Job | UnreadableJob, workers: Sequence[WorkerInfo] | None = No
 
 def _unreadable_view(job: UnreadableJob) -> JobView:
     return JobView(
-        **job.model_dump(include={"id", "kind", "name", "labels", "status", "spec"}),
+        **job.model_dump(include={"id", "kind", "name", "labels", "status", "spec", "owner", "project"}),
         reason="unreadable",
         message=f"This version of Gaitway cannot read the job's record ({job.problem}).",
         created_at=job.created_at,
@@ -177,7 +179,9 @@ def _sweep_facts(sweep: Sweep, trials: Sequence[Trial], seen: Sequence[TrialView
     links = {"self": here, "jobs": f"/jobs?label=sweep:{sweep.id}"}
     links |= {"resume": f"{here}/resume"} if sweep.status.is_final else {"cancel": f"{here}/cancel"}
     return {
-        **sweep.model_dump(include={"id", "status", "message", "created_at", "finished_at"}),
+        **sweep.model_dump(
+            include={"id", "status", "message", "created_at", "finished_at", "owner", "project"}
+        ),
         "name": spec.name,
         "labels": spec.labels,
         "spec": spec.model_dump(mode="json"),

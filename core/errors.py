@@ -242,6 +242,58 @@ class SweepFinished(Conflict):
     title = "The sweep has ended"
 
 
+class UserNotFound(NotFound):
+    code = "user-not-found"
+    title = "No such user"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"There is no user {name!r}; `gaitway users list` shows all.", user=name)
+
+
+class ProjectNotFound(NotFound):
+    code = "project-not-found"
+    title = "No such project"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"There is no project {name!r}; `gaitway projects list` shows all.", project=name)
+
+
+class TokenNotFound(NotFound):
+    code = "token-not-found"
+    title = "No such token"
+
+    def __init__(self, token_id: str) -> None:
+        super().__init__(
+            f"There is no token {token_id!r}; `gaitway tokens list` shows yours.", token=token_id
+        )
+
+
+class UserExists(Conflict):
+    code = "user-exists"
+    title = "The user exists already"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"There is a user {name!r} already.", user=name)
+
+
+class ProjectExists(Conflict):
+    code = "project-exists"
+    title = "The project exists already"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"There is a project {name!r} already.", project=name)
+
+
+class LastAdmin(Conflict):
+    code = "last-admin"
+    title = "No admin would be left"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"{name} is the only active admin: give another user the role first, or nobody could.", user=name
+        )
+
+
 class ObjectNotFound(NotFound):
     code = "object-not-found"
     title = "No such object"

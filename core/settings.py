@@ -181,7 +181,19 @@ class ApiSettings(StoreSettings):
     published: str | None = Field(
         None,
         description="The host address at which others reach the API, where it cannot know this: behind a "
-        "proxy, or published by a container engine. Used for its warning that anyone may reach it.",
+        "proxy, or published by a container engine. Without accounts, the API starts only if this is an "
+        "address of this machine alone.",
+    )
+    accounts: bool = Field(
+        False,
+        description="Whether users have accounts: each request then needs a token. Without them the API "
+        "answers on this machine alone, and everybody there may do everything.",
+    )
+    requests_per_second: float = Field(
+        200.0,
+        gt=0,
+        description="How many requests a second one token may make in each process, on average over ten "
+        "seconds; further ones are answered 429, with the time to wait.",
     )
     allowed_hosts: str = Field(
         "",

@@ -1,6 +1,7 @@
 """The routers, one file for each resource; add a new one here."""
 
 from api.routes import (
+    accounts,
     catalog,
     files,
     health,
@@ -26,6 +27,7 @@ ROUTERS = (
     models.router,
     previews.router,  # Before the catalog's, whose ids may have slashes.
     catalog.router,
+    accounts.router,
     health.router,
     page.router,
 )

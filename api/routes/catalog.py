@@ -6,15 +6,17 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query
 from pydantic import Field
 
-from api.dependencies import QueryParameters, ServiceDep
+from api.access import PrincipalDep
+from api.dependencies import QueryParameters, Service, ServiceDep
 from api.problems import refusals
 from api.submissions import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
 from api.views import AlgorithmView, Listing, environment_details, environment_view, slots_view
+from core.accounts.principal import Principal
 from core.algorithms.catalog import ALGORITHMS
 from core.bounds import LONGEST_NAME
 from core.environments.catalog import ENVIRONMENTS
 from core.environments.info import Device
-from core.errors import EnvironmentNotFound, RecordsUnavailable, Rejected
+from core.errors import EnvironmentNotFound, JobNotFound, RecordsUnavailable, Rejected
 from core.jobs.slots import counted_as, wanted_slots
 from core.jobs.spec import MOST_GPUS, Accelerator
 from core.jobs.workers import WORKER_NAME
@@ -53,30 +55,33 @@ _REFUSALS = refusals(EnvironmentNotFound, Rejected, RecordsUnavailable)
 def read_environment(
     environment_id: Annotated[str, Path(max_length=LONGEST_NAME, examples=["brittle_star"])],
     service: ServiceDep,
+    principal: PrincipalDep,
     options: Options = None,
 ) -> EnvironmentDetails:
     """One of our own environments, with the hyperparameters that a job on it gets by default."""
-    return environment_details(info_under(environment_id, options, service.store))
+    return environment_details(info_under(environment_id, options, service.store, principal))
 
 
 @router.get("/environments/playground/{name}", responses=_REFUSALS)
 def read_playground_environment(
     name: Annotated[str, Path(max_length=LONGEST_NAME, examples=["CheetahRun"])],
     service: ServiceDep,
+    principal: PrincipalDep,
     options: Options = None,
 ) -> EnvironmentDetails:
     """One of MuJoCo Playground's environments."""
-    return environment_details(info_under(f"playground/{name}", options, service.store))
+    return environment_details(info_under(f"playground/{name}", options, service.store, principal))
 
 
 @router.get("/environments/brax/{name}", responses=_REFUSALS)
 def read_brax_environment(
     name: Annotated[str, Path(max_length=LONGEST_NAME, examples=["ant"])],
     service: ServiceDep,
+    principal: PrincipalDep,
     options: Options = None,
 ) -> EnvironmentDetails:
     """One of Brax's environments."""
-    return environment_details(info_under(f"brax/{name}", options, service.store))
+    return environment_details(info_under(f"brax/{name}", options, service.store, principal))
 
 
 @router.get("/algorithms")
@@ -108,11 +113,29 @@ class WorkerFilters(QueryParameters):
 
 
 @router.get("/workers", responses=refusals(Rejected, RecordsUnavailable))
-def list_workers(listed: Annotated[WorkerFilters, Query()], service: ServiceDep) -> Listing[WorkerView]:
-    """The workers that have sent a heartbeat lately, by name."""
+def list_workers(
+    listed: Annotated[WorkerFilters, Query()], service: ServiceDep, principal: PrincipalDep
+) -> Listing[WorkerView]:
+    """The workers that have sent a heartbeat lately, by name; with the jobs that you may see."""
     page = service.store.list_workers(cursor=listed.cursor, limit=listed.limit)
     items = [WorkerView.model_validate(worker) for worker in page.workers]
+    if not principal.is_admin:
+        items = [_seen(worker, service, principal) for worker in items]
     return Listing[WorkerView](items=items, next=page.next_cursor)
+
+
+def _seen(worker: WorkerView, service: Service, principal: Principal) -> WorkerView:
+    """The worker without the jobs of projects that the principal does not see."""
+    jobs = tuple(job for job in worker.jobs if _sees(job, service, principal))
+    own = worker.job if worker.job and _sees(worker.job, service, principal) else None
+    return worker.model_copy(update={"jobs": jobs, "job": own})
+
+
+def _sees(job_id: str, service: Service, principal: Principal) -> bool:
+    try:
+        return principal.sees(service.owners.of(job_id, service.store.owner_of).project)
+    except JobNotFound:  # A model that it validates, or a job that was deleted meanwhile.
+        return False
 
 
 class SlotFilters(QueryParameters):

@@ -7,11 +7,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field
 
+from api.access import PrincipalDep, ownership_of_new, whose
 from api.dependencies import JobId, QueryParameters, Service, ServiceDep
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
 from api.shared_reads import max_age_s
 from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
 from api.views import Listing, answer, job_view
+from core.accounts.principal import Principal
 from core.errors import (
     IdempotencyKeyReused,
     JobFinished,
@@ -47,7 +49,9 @@ _LABEL = r"([A-Za-z0-9_.-]{1,63})[:=]([^\x00]{0,200})"
 
 # These patterns only document the format; the checks elsewhere give better messages.
 Label = Annotated[str, Field(json_schema_extra={"pattern": f"^{_LABEL}$"})]
-Cursor = Annotated[str, Field(max_length=100, json_schema_extra={"pattern": f"^{JOB_ID}$"})]
+Cursor = Annotated[
+    str, Field(max_length=100, json_schema_extra={"pattern": f"^((others-)?{JOB_ID}|others)$"})
+]
 
 
 class JobFilters(QueryParameters):
@@ -60,12 +64,15 @@ class JobFilters(QueryParameters):
     search: Text | None = Field(
         None, description="A part of the name or of the environment's id, in any case.", examples=["first"]
     )
+    owner: Text | None = Field(None, description="A user's name.", examples=[None])
+    project: Text | None = Field(None, description="One of your projects.", examples=[None])
     label: list[Label] = Field([], max_length=64, description="`key:value` or `key=value`; repeatable.")
     cursor: Cursor | None = Field(None, description="The `next` of an earlier page.")
     limit: int = Field(50, ge=1, le=200)
 
-    def query(self) -> JobQuery:
+    def query(self, principal: Principal) -> JobQuery:
         return JobQuery(
+            whose=whose(principal, self.owner, self.project),
             status=self.status,
             kind=self.kind,
             environment=self.environment,
@@ -90,13 +97,17 @@ class JobFilters(QueryParameters):
         RecordsUnavailable,
     ),
 )
-def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep) -> Response:
+def submit_job(
+    spec: Submitted, key: IdempotencyKey, service: ServiceDep, principal: PrincipalDep
+) -> Response:
     """Queue a training or a rollout."""
     job = submit(
         spec,
         store=service.store,
         queue=service.queue,
-        idempotency=idempotency(key, spec),
+        ownership=ownership_of_new(principal, spec.project, service),
+        readable=principal.readable,
+        idempotency=idempotency(key, spec, principal),
         acknowledge=service.acknowledgements.add,
     )
     return answer(job_view(job), 202, {"Location": f"/jobs/{job.id}"})
@@ -106,9 +117,10 @@ def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep) -> Res
 def list_jobs(
     listed: Annotated[JobFilters, Query()],
     service: ServiceDep,
+    principal: PrincipalDep,
     cache_control: Annotated[str, Header(max_length=200)] = "",
 ) -> Response:
-    """Jobs, newest first.
+    """Jobs, newest first; with accounts your own, and then those of others in your projects.
 
     Each has its newest ten attempts, without `details` and with messages of up to 1,000 characters, and its
     newest ten files of each role, without `metadata` of more than 1,000 bytes: `GET /jobs/{job_id}` has all.
@@ -116,10 +128,12 @@ def list_jobs(
 
     With `Cache-Control: max-age=N`, the answer may be the one that another client got in the last N seconds.
     """
-    question, age_s = listed.model_dump_json(), max_age_s(cache_control)
+    query, age_s = listed.query(principal), max_age_s(cache_control)
+    # With whose jobs they may be: two users have different answers to one address.
+    question = f"{query.model_dump_json()} {listed.cursor} {listed.limit}"
     found = service.lists.find(question, age_s) if age_s else None
     if found is None:
-        page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit, brief=True)
+        page = service.store.list(query, cursor=listed.cursor, limit=listed.limit, brief=True)
         workers = _workers(page.jobs, service)
         views = [job_view(job, workers) for job in page.jobs]
         found = Listing[JobView](items=views, next=page.next_cursor).model_dump_json().encode()

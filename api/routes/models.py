@@ -1,6 +1,7 @@
 """Users' own models: upload one, see its contents, delete it."""
 
 import time
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from anyio import sleep
@@ -8,10 +9,12 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 
+from api.access import PrincipalDep, ownership_of_new, whose
 from api.dependencies import QueryParameters, Service, ServiceDep
 from api.problems import BodyTooLarge, TooManyModels, UnsupportedMediaType, refusals
 from api.submissions import Upload, receiving, with_end
 from api.views import Listing, answer
+from core.accounts.principal import AccountName, Ownership, Principal
 from core.environments.mjcf.main_document import MAX_MAIN_CHARACTERS, with_main
 from core.errors import (
     BadModel,
@@ -23,6 +26,7 @@ from core.errors import (
     StorageUnavailable,
 )
 from core.jobs.ending import remove_model
+from core.jobs.spec import Text
 from core.user_models import library
 from core.user_models.record import ModelRecord
 from gaitway.schema import ModelView
@@ -69,6 +73,9 @@ class Sent(QueryParameters):
     """The parameters that come with the file."""
 
     name: Name | None = Field(None, description="What people call it; several models may have the same name.")
+    project: AccountName | None = Field(
+        None, description="Whose members may use it; with one project of your own you need not say it."
+    )
     main: str | None = Field(
         None,
         min_length=1,
@@ -91,15 +98,33 @@ class ModelFilters(QueryParameters):
     )
     limit: int = Field(50, ge=1, le=200)
     name: Name | None = Field(None, description="Only models of this name.")
+    owner: Text | None = Field(None, description="A user's name.", examples=[None])
+    project: Text | None = Field(None, description="One of your projects.", examples=[None])
 
 
-def _view(record: ModelRecord) -> ModelView:
+def _views(records: Sequence[ModelRecord], service: Service, principal: Principal) -> list[ModelView]:
+    """Each with one of the projects that have it and that the principal sees, where they own it if any."""
+    owners = service.store.owners_of_models([record.id for record in records])
+    return [_view(record, owners.get(record.id, ()), principal) for record in records]
+
+
+def _view(record: ModelRecord, owners: Sequence[Ownership], principal: Principal) -> ModelView:
+    seen = [one for one in owners if principal.sees(one.project)]
+    shown = min(seen, key=lambda one: one.owner != principal.user, default=Ownership())
     contents = None if record.description is None else record.description.model_dump(mode="json")
     facts = record.model_dump(exclude={"description", "refused_at"})
-    return ModelView(**facts, description=contents, links={"self": f"/models/{record.id}"})
+    return ModelView(
+        **facts,
+        description=contents,
+        owner=shown.owner,
+        project=shown.project,
+        links={"self": f"/models/{record.id}"},
+    )
 
 
-async def _added(request: Request, sent: Annotated[Sent, Query()], service: ServiceDep) -> ModelRecord:
+async def _added(
+    request: Request, sent: Annotated[Sent, Query()], service: ServiceDep, principal: PrincipalDep
+) -> ModelRecord:
     said = request.headers.get("content-type", "")
     media_type = _KNOWN.get(said.partition(";")[0].strip().lower())
     if media_type is None:
@@ -107,6 +132,7 @@ async def _added(request: Request, sent: Annotated[Sent, Query()], service: Serv
     if sent.main is not None and media_type != ZIP:
         detail = "`main` names a document of a zip, but the file is a single one: leave it out."
         raise Rejected(detail, [Problem("/main", detail)])
+    ownership = await run_sync(ownership_of_new, principal, sent.project, service)
     most = service.settings.max_waiting_models
     if await run_sync(service.store.num_waiting_models) + service.num_uploads >= most:
         raise TooManyModels(most)
@@ -116,7 +142,7 @@ async def _added(request: Request, sent: Annotated[Sent, Query()], service: Serv
             is_zip = upload.beginning.startswith(_ZIP_BEGINNING)
             if (media_type == ZIP) != is_zip:
                 raise BadModel(f"The file is {'a' if is_zip else 'not a'} zip, but was sent as {media_type}.")
-            return await run_sync(_add, upload, media_type, sent, service)
+            return await run_sync(_add, upload, media_type, sent, ownership, service)
     finally:
         service.num_uploads -= 1
 
@@ -145,7 +171,10 @@ async def _added(request: Request, sent: Annotated[Sent, Query()], service: Serv
     },
 )
 async def add_model(
-    record: Annotated[ModelRecord, Depends(_added)], service: ServiceDep, response: Response
+    record: Annotated[ModelRecord, Depends(_added)],
+    service: ServiceDep,
+    principal: PrincipalDep,
+    response: Response,
 ) -> ModelView:
     """Upload a model of your own, as MJCF or URDF. The same bytes are the same model."""
     response.status_code = 200 if record.status == "ready" else 201
@@ -157,21 +186,30 @@ async def add_model(
     if not record.is_settled:
         response.headers["Retry-After"] = "2"
     response.headers["Location"] = f"/models/{record.id}"
-    return _view(record)
+    return (await run_sync(_views, [record], service, principal))[0]
 
 
 @router.get("/models", response_model=Listing[ModelView], responses=refusals(Rejected, RecordsUnavailable))
-def list_models(listed: Annotated[ModelFilters, Query()], service: ServiceDep) -> Response:
-    """Models, the last sent first."""
-    page = service.store.list_models(cursor=listed.cursor, limit=listed.limit, name=listed.name)
-    items = [_view(record) for record in page.models]
+def list_models(
+    listed: Annotated[ModelFilters, Query()], service: ServiceDep, principal: PrincipalDep
+) -> Response:
+    """Models, the last sent first; with accounts those of your projects."""
+    asked = whose(principal, listed.owner, listed.project)
+    page = service.store.list_models(
+        cursor=listed.cursor,
+        limit=listed.limit,
+        name=listed.name,
+        projects=asked.projects,
+        owner=asked.owner,
+    )
+    items = _views(page.models, service, principal)
     return answer(Listing[ModelView](items=items, next=page.next_cursor))
 
 
 @router.get("/models/{model_id}", responses=refusals(ModelNotFound, RecordsUnavailable))
-def read_model(model_id: ModelId, service: ServiceDep) -> ModelView:
+def read_model(model_id: ModelId, service: ServiceDep, principal: PrincipalDep) -> ModelView:
     """A model's contents, or the state of its validation."""
-    return _view(library.find(model_id, service.store))
+    return _views([library.find(model_id, service.store)], service, principal)[0]
 
 
 @router.delete(
@@ -179,12 +217,16 @@ def read_model(model_id: ModelId, service: ServiceDep) -> ModelView:
     status_code=204,
     responses=refusals(ModelNotFound, ModelInUse, StorageUnavailable, RecordsUnavailable),
 )
-def delete_model(model_id: ModelId, service: ServiceDep) -> None:
-    """Delete a model that no unfinished job needs."""
-    remove_model(model_id, store=service.store, objects=service.objects)
+def delete_model(model_id: ModelId, service: ServiceDep, principal: PrincipalDep) -> None:
+    """Delete a model that no unfinished job needs; other projects to which it was sent, too, keep it."""
+    owners = service.store.owners_of_models([model_id]).get(model_id, ())
+    projects = [
+        one.project for one in owners if principal.may_change(one.owner) and principal.sees(one.project)
+    ]
+    remove_model(model_id, projects, store=service.store, objects=service.objects)
 
 
-def _add(upload: Upload, media_type: str, sent: Sent, service: Service) -> ModelRecord:
+def _add(upload: Upload, media_type: str, sent: Sent, ownership: Ownership, service: Service) -> ModelRecord:
     store, main = service.store, sent.main
     if main is not None:
         named = with_end(upload, lambda end: with_main(end, main))
@@ -200,6 +242,7 @@ def _add(upload: Upload, media_type: str, sent: Sent, service: Service) -> Model
         queue=service.queue,
         now=store.now(),
         name=sent.name,
+        ownership=ownership,
     )
 
 

@@ -11,10 +11,12 @@ from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import JSONResponse
 from pydantic import Field
 
+from api.access import PrincipalDep
 from api.dependencies import QueryParameters, Service, ServiceDep
 from api.files import file_response
 from api.problems import refusals
 from api.submissions import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, in_the_query, parse_options
+from core.accounts.principal import Principal
 from core.bounds import LONGEST_NAME
 from core.environments import catalog
 from core.errors import (
@@ -31,6 +33,7 @@ from core.jobs.job import Artifact
 from core.jobs.queue import looks_at_models
 from core.jobs.resolved import model_of, resolve_environment
 from core.jobs.spec import EnvironmentSpec
+from core.jobs.submission import check_readable_model
 from core.previews import library
 from core.previews.record import Preview, PreviewRequest, Still
 from core.rendering.layout import camera_choices, model_camera
@@ -121,10 +124,11 @@ async def preview_environment(
     environment_id: Annotated[str, Path(max_length=LONGEST_NAME, examples=["ant"])],
     asked: Annotated[PreviewParameters, Query()],
     service: ServiceDep,
+    principal: PrincipalDep,
     request: Request,
 ) -> Any:
     """The environment as an episode begins, seen by the camera `track` and each of the model's own."""
-    wanted, camera = await run_sync(_wanted, environment_id, asked, service)
+    wanted, camera = await run_sync(_wanted, environment_id, asked, service, principal)
     drawn = await _drawn(wanted, service)
     here = request.url.path
     if drawn is None:
@@ -138,7 +142,7 @@ async def preview_environment(
 
 
 def _wanted(
-    environment_id: str, asked: PreviewParameters, service: Service
+    environment_id: str, asked: PreviewParameters, service: Service, principal: Principal
 ) -> tuple[PreviewRequest, str | int | None]:
     """The stills to render, and the camera that the request asks for.
 
@@ -147,6 +151,7 @@ def _wanted(
     catalog.find(environment_id)
     environment = EnvironmentSpec(id=environment_id, options=parse_options(asked.options))
     try:
+        check_readable_model(environment, principal.readable, service.store)
         info, options = resolve_environment(environment, service.store)
         cameras = camera_choices(info.cameras)
         camera = None if asked.camera is None else _camera(asked.camera, info.cameras)

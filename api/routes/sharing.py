@@ -2,13 +2,15 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from typing import Any
+from typing import Annotated, Any
 
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
+from pydantic import Field
 from starlette.responses import StreamingResponse
 
-from api.dependencies import JobId, Service, ServiceDep
+from api.access import PrincipalDep, ownership_of_new
+from api.dependencies import JobId, QueryParameters, Service, ServiceDep
 from api.files import PiecesResponse
 from api.problems import BodyTooLarge, TooManyImports, UnsupportedMediaType, refusals
 from api.sharing.archive import open_archive
@@ -17,12 +19,14 @@ from api.sharing.importing import read_run
 from api.sharing.report import POLICY, open_report
 from api.submissions import IdempotencyKey, Upload, receiving
 from api.views import job_view
+from core.accounts.principal import AccountName, Principal
 from core.errors import (
     BadExport,
     IdempotencyKeyReused,
     JobNotFound,
     JobUnreadable,
     RecordsUnavailable,
+    Rejected,
     StorageUnavailable,
 )
 from core.jobs.job import Job
@@ -99,6 +103,14 @@ def export_job(job_id: JobId, service: ServiceDep) -> Response:
     return StreamingResponse(zip_stream(members), headers=headers, media_type="application/zip")
 
 
+class ImportParameters(QueryParameters):
+    """project: whose members see the job."""
+
+    project: AccountName | None = Field(
+        None, description="Where it belongs; with one project of your own you need not say it."
+    )
+
+
 @router.post(
     "/jobs/import",
     status_code=201,
@@ -111,11 +123,18 @@ def export_job(job_id: JobId, service: ServiceDep) -> Response:
         UnsupportedMediaType,
         TooManyImports,
         BadExport,
+        Rejected,
         RecordsUnavailable,
         StorageUnavailable,
     ),
 )
-async def import_job(request: Request, key: IdempotencyKey, service: ServiceDep) -> Response:
+async def import_job(
+    request: Request,
+    sent: Annotated[ImportParameters, Query()],
+    key: IdempotencyKey,
+    service: ServiceDep,
+    principal: PrincipalDep,
+) -> Response:
     """Make an ended job of an export, of this service or another: others resume from it, and roll it out.
 
     Its files, metrics and log are there under a new id, and `imported_from` says where it was run. A job that
@@ -129,19 +148,22 @@ async def import_job(request: Request, key: IdempotencyKey, service: ServiceDep)
     service.num_imports += 1
     try:
         async with receiving(request, service.settings.max_import_bytes) as upload:
-            job = await run_sync(_import, upload, key, service)
+            job = await run_sync(_import, upload, key, sent.project, service, principal)
     finally:
         service.num_imports -= 1
     headers = {"Location": f"/jobs/{job.id}"}
     return Response(job_view(job).model_dump_json(), 201, headers, media_type="application/json")
 
 
-def _import(upload: Upload, key: str | None, service: Service) -> Job:
-    idempotency = None if key is None else Idempotency(key, upload.sha256)
+def _import(
+    upload: Upload, key: str | None, project: str | None, service: Service, principal: Principal
+) -> Job:
+    idempotency = None if key is None else Idempotency(key, upload.sha256, principal.user)
+    ownership = ownership_of_new(principal, project, service)
     if idempotency is not None and (known := service.store.remembered(idempotency)) is not None:
         return known
     with open_archive(upload.path, service.settings.max_import_bytes) as archive:
-        run = read_run(archive, service)
+        run = read_run(archive, service, ownership, principal.readable)
         objects = service.patient or service.objects
         return import_run(run, store=service.store, objects=objects, idempotency=idempotency)
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 from pydantic import AfterValidator, Field
 
+from api.access import PrincipalDep, ownership_of_new, whose
 from api.dependencies import QueryParameters, Service, ServiceDep, id_in_path
 from api.openapi import EXAMPLES
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
@@ -23,6 +24,7 @@ from core.errors import (
     TooManySweeps,
 )
 from core.jobs.job import Job, UnreadableJob, check_job_id
+from core.jobs.spec import Text
 from core.sweeps.actions import cancel_sweep, delete_sweep, resume_sweep, submit_sweep
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
 from gaitway.schema import SweepDetails, SweepView
@@ -49,6 +51,8 @@ class SweepFilters(QueryParameters):
     """Filters of a listing."""
 
     status: SweepStatus | None = None
+    owner: Text | None = Field(None, description="A user's name.", examples=[None])
+    project: Text | None = Field(None, description="One of your projects.", examples=[None])
     cursor: Cursor | None = Field(None, description="The `next` of an earlier page.")
     limit: int = Field(50, ge=1, le=200)
 
@@ -69,16 +73,30 @@ class SweepFilters(QueryParameters):
         RecordsUnavailable,
     ),
 )
-def submit(spec: SubmittedSweep, key: IdempotencyKey, service: ServiceDep) -> Response:
+def submit(
+    spec: SubmittedSweep, key: IdempotencyKey, service: ServiceDep, principal: PrincipalDep
+) -> Response:
     """Start a sweep: child jobs whose settings vary, by a grid, at random or as Optuna's samplers say."""
-    sweep = submit_sweep(spec, store=service.store, idempotency=idempotency(key, spec))
+    sweep = submit_sweep(
+        spec,
+        store=service.store,
+        ownership=ownership_of_new(principal, spec.project or spec.job.project, service),
+        idempotency=idempotency(key, spec, principal),
+    )
     return answer(_details(sweep, service), 202, {"Location": f"/sweeps/{sweep.id}"})
 
 
 @router.get("/sweeps", response_model=Listing[SweepView], responses=refusals(Rejected, RecordsUnavailable))
-def list_sweeps(listed: Annotated[SweepFilters, Query()], service: ServiceDep) -> Response:
-    """Sweeps, newest first."""
-    page = service.store.list_sweeps(status=listed.status, cursor=listed.cursor, limit=listed.limit)
+def list_sweeps(
+    listed: Annotated[SweepFilters, Query()], service: ServiceDep, principal: PrincipalDep
+) -> Response:
+    """Sweeps, newest first; with accounts your own, and then those of others in your projects."""
+    page = service.store.list_sweeps(
+        status=listed.status,
+        whose=whose(principal, listed.owner, listed.project),
+        cursor=listed.cursor,
+        limit=listed.limit,
+    )
     trials = service.store.trials([sweep.id for sweep in page.sweeps])
     jobs = _jobs([trial for each in trials.values() for trial in each], service)
     now = service.store.now()

@@ -1,6 +1,6 @@
 """An export, as `api.sharing.export` writes it, becomes a job of this service."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -15,6 +15,7 @@ from api.sentences import body_problems
 from api.sharing.archive import ArchiveFormat, ArchiveRow, Contents, JobArchive, Record, Versions
 from api.sharing.export import FORMAT
 from api.submissions import parse
+from core.accounts.principal import Ownership
 from core.algorithms.catalog import reported
 from core.bounds import MOST_METRICS
 from core.environments import catalog
@@ -55,8 +56,13 @@ class _Feed:
         return self.read()
 
 
-def read_run(archive: JobArchive, service: Service) -> ImportedRun:
-    """The run under a new id. All of the archive has been read and checked. Raises BadExport."""
+def read_run(
+    archive: JobArchive, service: Service, ownership: Ownership, readable: Collection[str] | None
+) -> ImportedRun:
+    """The run under a new id. All of the archive has been read and checked. Raises BadExport.
+
+    readable: the projects whose models the job may use; None: all.
+    """
     _check_format(archive)
     contents = _parsed(archive, "contents.json", Contents)
     record = _parsed(archive, "job.json", Record)
@@ -66,9 +72,10 @@ def read_run(archive: JobArchive, service: Service) -> ImportedRun:
     end = record.finished_at or _last_moment(record, rows)
     now = service.store.now()
     job = _job(record, end, Origin(job=record.id, version=version, imported_at=now))
-    _check_job(job, service)
+    _check_job(job, readable, service)
     files = _files(archive, contents, record, job.id)
-    job = job.model_copy(update={"artifacts": tuple(file.artifact for file in files)})
+    facts = {"owner": ownership.owner, "project": ownership.project}
+    job = job.model_copy(update={"artifacts": tuple(file.artifact for file in files), **facts})
     logs = _Feed(partial(_log, archive, end))
     for _ in logs:  # All of it is read before anything is stored.
         pass
@@ -153,12 +160,17 @@ def _last_moment(record: Record, rows: Block) -> datetime:
     return max(time for time in found if time is not None)
 
 
-def _check_job(job: Job, service: Service) -> None:
+def _check_job(job: Job, readable: Collection[str] | None, service: Service) -> None:
     """Refuse a job that could be stored and then not be used."""
     environment = job.spec.environment
     try:
         if catalog.find(environment.id).takes_model:
-            library.find(str(environment.options.get("model")), service.store)
+            model = str(environment.options.get("model"))
+            library.find(model, service.store)
+            owners = service.store.owners_of_models([model]).get(model, ())
+            # Whoever may export it would have the model's file.
+            if readable is not None and not any(one.project in readable for one in owners):
+                raise ModelNotFound(model)
         resolve_environment(environment, service.store)
         for attempt in job.attempts:
             if "hyperparameters" in attempt.details:

@@ -1,5 +1,6 @@
 """Cancels a job; deletes a job, or a user's own model, permanently."""
 
+from collections.abc import Collection
 from contextlib import suppress
 from datetime import timedelta
 
@@ -94,13 +95,17 @@ def end_deletions(*, store: JobStore, objects: ObjectStore, after: timedelta = _
     return len(deleted)
 
 
-def remove_model(model_id: str, *, store: JobStore, objects: ObjectStore) -> None:
-    """Remove the model's file and its record. Raises ModelNotFound, and ModelInUse while a job needs it.
+def remove_model(model_id: str, projects: Collection[str], *, store: JobStore, objects: ObjectStore) -> None:
+    """Take the model from these projects; once none has it, remove its file and its record.
 
-    Ended jobs keep their files, but their policies cannot be run here any more.
+    Raises ModelNotFound, and ModelInUse while a job in one of these projects needs it. Ended
+    jobs keep their files, but their policies cannot be run here any more.
     """
     library.find(model_id, store)
-    if users := store.users_of(model_id):
-        raise ModelInUse(model_id, users)
+    users = store.users_of(model_id)
+    if needed := [job for job in users if store.owner_of(job).project in projects]:
+        raise ModelInUse(model_id, needed)
+    if store.release_model(model_id, projects) or users:
+        return
     objects.delete_prefix(keys.previews_of(model_id))
     library.forget(model_id, store=store, objects=objects)

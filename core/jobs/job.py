@@ -8,6 +8,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field
 
+from core.accounts.principal import DEFAULT_PROJECT, Ownership
 from core.documents import Stored
 from core.errors import IllegalTransition, JobNotFound
 from core.jobs.spec import Accelerator, SentSpec, TrainSpec
@@ -123,6 +124,8 @@ class UnreadableJob(Stored):
     created_at: datetime
     started_at: datetime | None = None
     finished_at: datetime | None = None
+    owner: str | None = None
+    project: str = DEFAULT_PROJECT
     spec: dict[str, Any] = Field(default_factory=dict)
     problem: str
 
@@ -130,7 +133,8 @@ class UnreadableJob(Stored):
 class Job(Stored):
     """The record. `version` rises by one with every step; the store refuses any other.
 
-    not_before: when a queued job may be tried again, after an attempt that failed.
+    not_before: when a queued job may be tried again, after an attempt that failed. owner: a user's name; None
+    without accounts.
     """
 
     id: str
@@ -147,6 +151,12 @@ class Job(Stored):
     artifacts: tuple[Artifact, ...] = ()
     progress: Progress = Progress()
     imported_from: Origin | None = None
+    owner: str | None = None
+    project: str = DEFAULT_PROJECT
+
+    @property
+    def ownership(self) -> Ownership:
+        return Ownership(self.owner, self.project)
 
     @property
     def token(self) -> str:

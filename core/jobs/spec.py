@@ -13,6 +13,7 @@ from pydantic import (
     model_validator,
 )
 
+from core.accounts.principal import AccountName
 from core.algorithms.catalog import ALGORITHMS, DEFAULT_ALGORITHM, AlgorithmSpec
 from core.bounds import LONGEST_NAME, MOST_ITEMS, FreeOptions, PastStep
 from core.documents import Strict
@@ -214,6 +215,9 @@ class TrackingSpec(Strict):
 
 class _Common(Strict):
     name: Text | None = None
+    project: AccountName | None = Field(
+        default=None, description="Who may see it; with one project of your own you need not say it."
+    )
     labels: dict[LabelName, Text] = Field(default={}, max_length=64)
     environment: EnvironmentChoice
     physics: PhysicsChoice = "auto"

@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol
 
 from pydantic import Field
 
+from core.accounts.principal import Ownership
 from core.documents import Stored
 from core.errors import Problem, Rejected
 from core.jobs.job import Job, Progress, UnreadableJob, utc_now
@@ -71,6 +72,20 @@ def entry_number(entry_id: str) -> int:
     return int(entry_id)
 
 
+class Whose(Stored):
+    """A filter of listings by owner and project. projects: only those in one of these; None: in any.
+
+    first: the user whose own come before all others.
+    """
+
+    owner: str | None = None
+    projects: tuple[str, ...] | None = None
+    first: str | None = None
+
+
+ANYBODYS = Whose()
+
+
 class JobQuery(Stored):
     """The filters of a listing; None matches any job. labels: every one must match.
 
@@ -83,14 +98,19 @@ class JobQuery(Stored):
     name: str | None = None
     search: str | None = None
     labels: dict[str, str] = Field(default_factory=dict)
+    whose: Whose = ANYBODYS
 
 
 @dataclass(frozen=True)
 class Idempotency:
-    """A client's key for a submission, and a fingerprint of the body it came with."""
+    """A client's key for a submission, and a fingerprint of the body it came with.
+
+    user: whose key it is; two users may have the same.
+    """
 
     key: str
     fingerprint: str
+    user: str | None = None
 
 
 @dataclass(frozen=True)
@@ -206,6 +226,10 @@ class JobStore(ModelStore, WorkerStore, Protocol):
 
     def get(self, job_id: str) -> Job:
         """Like `find`, for a readable record. Raises JobNotFound, JobUnreadable."""
+        ...
+
+    def owner_of(self, job_id: str) -> Ownership:
+        """Whose the job is; that never changes. Raises JobNotFound."""
         ...
 
     def save(self, job: Job, *, lease: timedelta | None = None, note: str | None = None) -> None:

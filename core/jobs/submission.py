@@ -4,7 +4,7 @@ The queue gets a submitted job once the record has it; an imported run has ended
 and its record last.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from threading import Lock, Timer
@@ -12,12 +12,14 @@ from typing import IO
 
 import structlog
 
+from core.accounts.principal import NOBODYS, Ownership
 from core.algorithms.catalog import environment_options
 from core.errors import (
     BadExport,
     GaitwayError,
     JobNotFound,
     JobUnreadable,
+    ModelNotFound,
     Problem,
     RecordsUnavailable,
     Rejected,
@@ -26,46 +28,86 @@ from core.errors import (
 from core.jobs.checks import check
 from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
-from core.jobs.spec import CheckpointPolicy, JobSpec, RolloutSpec, TrainSpec
+from core.jobs.spec import CheckpointPolicy, EnvironmentSpec, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import Dispatch, Entry, Idempotency, JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.user_models.record import ModelStore
 
 log = structlog.get_logger()
 
 
-def submit(
+def submit(  # noqa: PLR0913 # All but the specification are named.
     spec: JobSpec,
     *,
     store: JobStore,
     queue: JobQueue,
+    ownership: Ownership = NOBODYS,
+    readable: Collection[str] | None = None,
     idempotency: Idempotency | None = None,
     acknowledge: Callable[[Dispatch], None] = lambda dispatch: None,
 ) -> Job:
     """Store and queue a job; or return the one that an earlier submission with the same key created.
 
     The job and its dispatch are stored in one transaction: after that, a loss of Redis cannot lose the job.
-    acknowledge: called with the dispatch once the queue has received it; without, the reconciler finds out.
+    ownership, readable: as in `new_job`. acknowledge: called with the dispatch once the queue has received
+    it; without, the reconciler finds out.
     Raises Rejected, IdempotencyKeyReused, RecordsUnavailable.
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
         return known
     try:
-        job = store.add(new_job(spec, store), idempotency)
+        job = store.add(new_job(spec, store, ownership, readable), idempotency)
     except JobNotFound:  # The job whose checkpoint it needs was deleted between the check and this.
-        job = store.add(new_job(spec, store), idempotency)
+        job = store.add(new_job(spec, store, ownership, readable), idempotency)
     dispatch = Dispatch("attempt", job.id, job.next_attempt)
     if hand_over_if_room(dispatch, job, queue):
         acknowledge(dispatch)
     return job
 
 
-def new_job(spec: JobSpec, store: JobStore) -> Job:
-    """The job of a submission, checked and not stored yet. Raises Rejected."""
+def new_job(
+    spec: JobSpec,
+    store: JobStore,
+    ownership: Ownership = NOBODYS,
+    readable: Collection[str] | None = None,
+) -> Job:
+    """The job of a submission, checked and not stored yet. Raises Rejected.
+
+    readable: the projects whose checkpoints and models it may use; None: all.
+    """
+    check_readable_source(spec, readable, store)
     spec = completed(with_environment(spec, store))
+    check_readable_model(spec.environment, readable, store)
     check(spec, store)
     now = store.now()
-    return Job(id=new_job_id(now), spec=spec, created_at=now)
+    return Job(
+        id=new_job_id(now), spec=spec, created_at=now, owner=ownership.owner, project=ownership.project
+    )
+
+
+def check_readable_source(spec: JobSpec, readable: Collection[str] | None, store: JobStore) -> None:
+    """Refuse a checkpoint of a job in another project, in the words for a job that does not exist."""
+    source = spec.source
+    if readable is None or source is None:
+        return
+    with suppress(JobNotFound):  # Its own check says so.
+        if store.owner_of(source.job).project not in readable:
+            detail = JobNotFound(source.job).detail
+            raise Rejected(detail, [Problem(f"{source.pointer}/job", detail)])
+
+
+def check_readable_model(
+    environment: EnvironmentSpec, readable: Collection[str] | None, store: ModelStore
+) -> None:
+    """Refuse a model of other projects, in the words for one that does not exist."""
+    model = environment.options.get("model")
+    if readable is None or not isinstance(model, str):
+        return
+    owners = store.owners_of_models([model]).get(model, ())
+    if owners and not any(one.project in readable for one in owners):
+        detail = ModelNotFound(model).detail
+        raise Rejected(detail, [Problem("/environment/options/model", detail)])
 
 
 def completed(spec: JobSpec) -> JobSpec:

@@ -1,25 +1,76 @@
 """Submits, cancels, resumes and deletes a sweep for its user."""
 
+from collections.abc import Collection
+from contextlib import suppress
+
+from pydantic import ValidationError
+
+from core.accounts.principal import NOBODYS, Ownership
 from core.errors import Problem, Rejected, StaleSweep, SweepFinished, SweepNotFinished, TooManySweeps
 from core.jobs.job import new_job_id
+from core.jobs.spec import JobSpec
 from core.jobs.store import Idempotency
-from core.sweeps.checks import check_budget, checked
-from core.sweeps.spec import Budget, SweepSpec
+from core.jobs.submission import check_readable_model, check_readable_source
+from core.sweeps.axes import axis_place, job_of
+from core.sweeps.checks import check_budget, checked, in_the_job
+from core.sweeps.spec import Budget, Range, SweepSpec
 from core.sweeps.sweep import Sweep, SweepStatus, SweepStore
 
 # The reconciler looks at each of them every second.
 MOST_ACTIVE = 100
+# The fields of a job that may name another one, or a model.
+_NAMING_OTHERS = ("resume_from", "policy", "environment")
 
 
-def submit_sweep(spec: SweepSpec, *, store: SweepStore, idempotency: Idempotency | None = None) -> Sweep:
+def submit_sweep(
+    spec: SweepSpec,
+    *,
+    store: SweepStore,
+    ownership: Ownership = NOBODYS,
+    idempotency: Idempotency | None = None,
+) -> Sweep:
     """Store the sweep; the reconciler starts its trials. Or return the one that the same key created.
 
-    Raises Rejected, TooManySweeps, IdempotencyKeyReused, RecordsUnavailable.
+    An owner's sweep uses checkpoints and models of its own project alone, because its trials start when
+    nobody is there to ask. Raises Rejected, TooManySweeps, IdempotencyKeyReused, RecordsUnavailable.
     """
+    _check_readable(spec, readable_by(ownership), store)
     spec = checked(spec, store)
     now = store.now()
-    sweep = Sweep(id=new_job_id(now), spec=spec, created_at=now)
+    sweep = Sweep(
+        id=new_job_id(now), spec=spec, created_at=now, owner=ownership.owner, project=ownership.project
+    )
     return store.add_sweep(sweep, idempotency, most_active=MOST_ACTIVE)
+
+
+def _check_readable(spec: SweepSpec, readable: Collection[str] | None, store: SweepStore) -> None:
+    """Refuse checkpoints and models of other projects, in the job and in the values of its axes."""
+    if readable is None:
+        return
+    try:
+        _check_readable_job(spec.job, readable, store)
+    except Rejected as error:
+        raise in_the_job(error) from None
+    for name, axis in spec.parameters.items():
+        if isinstance(axis, Range) or name.partition(".")[0] not in _NAMING_OTHERS:
+            continue
+        for value in axis:
+            with suppress(ValidationError):  # The check of all values says what is wrong.
+                job = job_of(spec.job, {name: value})
+                try:
+                    _check_readable_job(job, readable, store)
+                except Rejected as error:
+                    raise Rejected(error.detail, [Problem(axis_place(name), error.detail)]) from None
+
+
+def _check_readable_job(job: JobSpec, readable: Collection[str], store: SweepStore) -> None:
+    check_readable_source(job, readable, store)
+    check_readable_model(job.environment, readable, store)
+
+
+def readable_by(ownership: Ownership) -> frozenset[str] | None:
+    """The projects whose checkpoints and models the trials may use; None: all."""
+    return None if ownership.owner is None else frozenset({ownership.project})
 
 
 def check_room(store: SweepStore) -> None:

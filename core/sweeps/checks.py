@@ -54,9 +54,7 @@ def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
         spec = spec.model_copy(update={"job": with_environment(spec.job, store)})
         resolved = resolve_job(spec.job, store)
     except Rejected as error:
-        raise Rejected(
-            error.detail, [Problem(f"/job{one.pointer}", one.detail) for one in error.problems]
-        ) from None
+        raise in_the_job(error) from None
     _check_labels(spec)
     _check_axes(spec, resolved.info)
     spec = spec.model_copy(update={"parameters": _with_fractions(spec, resolved.info)})
@@ -68,6 +66,11 @@ def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
     spec = _with_seeds_together(spec, store)
     check_budget(spec, (), store)
     return spec
+
+
+def in_the_job(refusal: Rejected) -> Rejected:
+    """A job's refusal, with its pointers in the sweep's document."""
+    return Rejected(refusal.detail, [Problem(f"/job{one.pointer}", one.detail) for one in refusal.problems])
 
 
 def _with_seeds_together(spec: SweepSpec, store: JobStore) -> SweepSpec:
@@ -171,6 +174,8 @@ def _check_axes(spec: SweepSpec, info: EnvironmentInfo) -> None:
         for above in spec.parameters
         if name.startswith(f"{above}.")
     ]
+    if "project" in spec.parameters:
+        problems.append(Problem(axis_place("project"), "All trials of a sweep are in its one project."))
     problems += chain.from_iterable(_wrong(name, axis, spec) for name, axis in spec.parameters.items())
     _raise(problems)
 

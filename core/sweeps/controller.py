@@ -29,6 +29,7 @@ from core.jobs.queue import JobQueue
 from core.jobs.spec import JobSpec, TrainSpec
 from core.jobs.store import Dispatch
 from core.storage.objects import ObjectStore
+from core.sweeps.actions import readable_by
 from core.sweeps.advance import CancelTrial, Decision, EndSweep, PruneTrial, StartTrial, advance
 from core.sweeps.axes import job_of
 from core.sweeps.checks import steps_of
@@ -173,7 +174,7 @@ class SweepController:
             if start.parent is not None:
                 spec = self._like_its_source(spec)
             spec = spec.model_copy(update={"labels": labels_of(sweep, start.number, spec.labels)})
-            job = submission.new_job(spec, self._store)
+            job = submission.new_job(spec, self._store, sweep.ownership, readable_by(sweep.ownership))
         except (ValidationError, Rejected) as error:
             refused = {"outcome": "refused", "message": _sentence(error), "finished_at": trial.created_at}
             self._store.add_trial(sweep.id, trial.model_copy(update=refused), None)

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, JsonValue, Tag, TypeAdapter, model_validator
 
+from core.accounts.principal import AccountName
 from core.bounds import LARGEST_AXIS_BYTES, within
 from core.documents import Strict
 from core.jobs.spec import LabelName, Seed, SentSpec, Text
@@ -196,6 +197,9 @@ class SweepSpec(Strict):
     """A job, the settings that vary between its trials, and what the trials are judged by."""
 
     name: Text | None = None
+    project: AccountName | None = Field(
+        default=None, description="That of all trials; by default the one that `job` says."
+    )
     labels: dict[LabelName, Text] = Field(default={}, max_length=60, description="The trials get them, too.")
     job: SentSpec
     method: Method = "random"

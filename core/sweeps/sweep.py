@@ -8,9 +8,10 @@ from typing import Any, Literal, Protocol, Self
 
 from pydantic import Field, JsonValue
 
+from core.accounts.principal import DEFAULT_PROJECT, Ownership
 from core.documents import Stored
 from core.jobs.job import Job
-from core.jobs.store import Idempotency, JobStore
+from core.jobs.store import ANYBODYS, Idempotency, JobStore, Whose
 from core.sweeps.spec import SweepSpec
 
 # The values of the objective by environment step.
@@ -94,6 +95,13 @@ class Sweep(Stored):
     importance: Mapping[str, Mapping[str, float]] | None = None
     importance_note: str | None = None
     num_judged: int = Field(default=0, ge=0)
+    owner: str | None = None
+    project: str = DEFAULT_PROJECT
+
+    @property
+    def ownership(self) -> Ownership:
+        """That of its trials' jobs, too."""
+        return Ownership(self.owner, self.project)
 
     def next(self, **changes: Any) -> Self:
         """The same sweep with these changes, as its next version."""
@@ -139,6 +147,10 @@ class SweepStore(JobStore, Protocol):
         """Raises SweepNotFound."""
         ...
 
+    def owner_of_sweep(self, sweep_id: str) -> Ownership:
+        """Raises SweepNotFound."""
+        ...
+
     def save_sweep(self, sweep: Sweep) -> None:
         """Store the next version. Raises StaleSweep unless the stored version is the one before, and
         SweepNotFound where there is none."""
@@ -149,9 +161,14 @@ class SweepStore(JobStore, Protocol):
         ...
 
     def list_sweeps(
-        self, *, status: SweepStatus | None = None, cursor: str | None = None, limit: int = 50
+        self,
+        *,
+        status: SweepStatus | None = None,
+        whose: Whose = ANYBODYS,
+        cursor: str | None = None,
+        limit: int = 50,
     ) -> SweepPage:
-        """Newest first."""
+        """Newest first; after the own ones those of others, where `whose` says so."""
         ...
 
     def active_marks(self) -> Mapping[str, SweepMark]:

@@ -5,6 +5,7 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from core.accounts.principal import NOBODYS, Ownership
 from core.errors import BadModel, ModelNotFound, RecordsUnavailable
 from core.storage import keys
 from core.storage.objects import ObjectStore, read_whole
@@ -37,10 +38,11 @@ def add(  # noqa: PLR0913 # All but the file are named.
     queue: ModelQueue,
     now: datetime,
     name: str | None = None,
+    ownership: Ownership = NOBODYS,
 ) -> ModelRecord:
     """The record of this file. Unless it is known and good, the file is stored and queued for validation.
 
-    A known model gets the new name.
+    A known model gets the new name, and the owner's project has it, too.
     """
     model_id = f"sha256:{sha256}"
     try:
@@ -48,6 +50,7 @@ def add(  # noqa: PLR0913 # All but the file are named.
     except ModelNotFound:
         known = None
     if known is not None and known.status != "refused":
+        store.claim_model(model_id, ownership)
         if name is None or name == known.name:
             return known
         store.name_model(model_id, name)
@@ -62,6 +65,7 @@ def add(  # noqa: PLR0913 # All but the file are named.
     )
     objects.put_file(keys.model_source(model_id), file, media_type=media_type)
     store.add_model(record)
+    store.claim_model(model_id, ownership)
     with suppress(RecordsUnavailable):  # The reconciler tells the queue later.
         queue.enqueue_model(model_id)
         store.model_dispatched(model_id)

@@ -1,10 +1,11 @@
 """A user's model, what a worker found in it, and the interfaces of its records and of its queue."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal, Protocol
 
+from core.accounts.principal import Ownership
 from core.documents import Stored
 from core.environments.info import Device
 from core.environments.mjcf.inventory import Inventory
@@ -117,10 +118,27 @@ class ModelStore(Protocol):
         ...
 
     def list_models(
-        self, *, cursor: str | None = None, limit: int = 50, name: str | None = None
+        self,
+        *,
+        cursor: str | None = None,
+        limit: int = 50,
+        name: str | None = None,
+        projects: Collection[str] | None = None,
+        owner: str | None = None,
     ) -> ModelPage:
-        """Some of them, the last sent first. cursor: the `next_cursor` of an earlier page. name: only those.
-
-        Raises Rejected for any other.
+        """Some of them, the last sent first. cursor: the `next_cursor` of an earlier page, Rejected for any
+        other. name, projects, owner: only those; None: of any.
         """
+        ...
+
+    def claim_model(self, model_id: str, ownership: Ownership) -> None:
+        """Let the project have the model, too; its first sender there owns it there. Raises ModelNotFound."""
+        ...
+
+    def owners_of_models(self, model_ids: Collection[str]) -> Mapping[str, Sequence[Ownership]]:
+        """The projects that have each of these, by name, and who owns it there; unknown ones are left out."""
+        ...
+
+    def release_model(self, model_id: str, projects: Collection[str]) -> bool:
+        """Take the model from these projects; whether another one has it."""
         ...

@@ -4,6 +4,7 @@ The service writes every member. A client reads without those that have a defaul
 that it does not know, so that it works with an older and with a newer service.
 """
 
+from gaitway.schema.accounts import AuditView, NewTokenView, ProjectView, TokenView, UserView, WhoView
 from gaitway.schema.base import FINAL_STATUSES, View
 from gaitway.schema.catalog import (
     EnvironmentDetails,
@@ -31,6 +32,7 @@ __all__ = [
     "FINAL_STATUSES",
     "ArtifactView",
     "AttemptView",
+    "AuditView",
     "EnvironmentDetails",
     "EnvironmentView",
     "GroupView",
@@ -38,16 +40,21 @@ __all__ = [
     "Metrics",
     "MetricsRow",
     "ModelView",
+    "NewTokenView",
     "OriginView",
     "PreviewView",
     "ProgressView",
+    "ProjectView",
     "SliceView",
     "SlotView",
     "SlotsView",
     "StillView",
     "SweepDetails",
     "SweepView",
+    "TokenView",
     "TrialView",
+    "UserView",
     "View",
+    "WhoView",
     "WorkerView",
 ]

@@ -85,6 +85,8 @@ class ModelView(View):
 
     id: str
     name: str | None = None
+    owner: str | None = Field(None, description="Who sent it to the project; null without accounts.")
+    project: str = "default"
     status: ModelStatus
     media_type: str = ""
     size: int = 0

@@ -76,6 +76,8 @@ class JobView(View):
     kind: str = Field(examples=["train"])
     name: str | None = None
     labels: dict[str, str] = {}
+    owner: str | None = Field(None, description="A user's name; null without accounts.")
+    project: str = "default"
     status: JobStatus
     reason: Reason | Literal["unreadable"] | None = Field(None, description="Why the job ended.")
     message: str | None = Field(None, description="The reason as a sentence for people.")

@@ -55,6 +55,8 @@ class SweepView(View):
     id: str = Field(examples=["019aa3c2f0b1-5be0c1d2e3"])
     name: str | None = None
     labels: dict[str, str] = {}
+    owner: str | None = Field(None, description="A user's name; null without accounts.")
+    project: str = "default"
     status: SweepStatus
     message: str | None = Field(None, description="Why it ended, and how its trials did.")
     created_at: datetime

@@ -14,6 +14,9 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, inspect, text
 
+from core.accounts.principal import NOBODYS, Role, TokenScope
+from core.accounts.store import Actor, Token, User
+from core.accounts.tokens import new_secret
 from core.adapters.postgres import schema
 from core.adapters.postgres.engine import DEADLINE_S, connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
@@ -102,7 +105,15 @@ def fill(engine: Engine) -> Job:
     jobs.replace_by_chunk(claimed.id, chunk_of(jobs.oldest_entries(claimed.id, "logs", limit=1)))
     row = Entry(kind="metrics", time=NOW, data={"step": 1, "values": {"reward": 1.0}})
     jobs.record(claimed.id, claimed.token, "events", [row], write_id="w")
-    jobs.add_model(model(status="validating"))
+    jobs.add_model(record := model(status="validating"))
+    jobs.claim_model(record.id, NOBODYS)
+    if not jobs.users():
+        user = jobs.add_user(
+            User(name="ann", role=Role.ADMIN, projects=("default",), created_at=NOW), Actor()
+        )
+        secret = new_secret()
+        token = Token(id=secret.id, user=user.name, name="", scope=TokenScope.READ, created_at=NOW)
+        jobs.add_token(token, secret, Actor())
     jobs.announce(worker("w"), LEASE)
     gone = jobs.add(queued_job(2))
     jobs.delete(gone.id, gone.version)

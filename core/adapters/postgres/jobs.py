@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import timedelta
-from functools import cache
+from functools import cache, partial
 from typing import Any, NoReturn
 
 from psycopg.errors import UniqueViolation
@@ -23,9 +23,9 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.exc import DataError, IntegrityError
 
+from core.accounts.principal import Ownership
 from core.adapters.postgres import feeds, leases, listing, rows
 from core.adapters.postgres.engine import Session
-from core.adapters.postgres.listing import check_cursor
 from core.adapters.postgres.tables import (
     NOW,
     UNFINISHED,
@@ -98,7 +98,7 @@ class JobQueries(Session):
 
     def remembered(self, idempotency: Idempotency) -> Job | None:
         known = select(idempotency_keys).where(
-            idempotency_keys.c.key_hash == hashed(idempotency.key), idempotency_keys.c.forgotten_at > NOW
+            idempotency_keys.c.key_hash == hashed(idempotency), idempotency_keys.c.forgotten_at > NOW
         )
         with self._statements() as connection:
             row = connection.execute(known).first()
@@ -114,6 +114,14 @@ class JobQueries(Session):
 
     def get(self, job_id: str) -> Job:
         return rows.readable(self.find(job_id))
+
+    def owner_of(self, job_id: str) -> Ownership:
+        wanted = select(jobs.c.owner, jobs.c.project).where(jobs.c.id == check_job_id(job_id))
+        with self._statements() as connection:
+            row = connection.execute(wanted).first()
+        if row is None:
+            raise JobNotFound(job_id[:64])
+        return Ownership(row.owner, row.project)
 
     def save(self, job: Job, *, lease: timedelta | None = None, note: str | None = None) -> None:
         with self._transaction() as connection:
@@ -147,11 +155,11 @@ class JobQueries(Session):
     def list(
         self, query: JobQuery, *, cursor: str | None = None, limit: int = 50, brief: bool = False
     ) -> JobPage:
-        before = None if cursor is None else check_cursor(cursor)
         with self._statements() as connection:
-            found = listing.newest(connection, query, before, limit + 1)
-            page = rows.jobs_of_rows(connection, found[:limit], brief=brief)
-        return JobPage(page, page[-1].id if listing.has_more(found, len(page)) else None)
+            newest = partial(listing.newest, connection, query)
+            found, next_cursor = listing.own_first(newest, query.whose, cursor, limit)
+            page = rows.jobs_of_rows(connection, found, brief=brief)
+        return JobPage(page, next_cursor)
 
     def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
         if not job_ids:
@@ -180,9 +188,12 @@ class JobQueries(Session):
             return set(connection.execute(union_all(*named)).scalars())
 
 
-def hashed(key: str) -> str:
+def hashed(idempotency: Idempotency) -> str:
     """The hash under which an idempotency key is stored."""
-    return hashlib.sha256(key.encode("utf-8", "surrogatepass")).hexdigest()
+    user, key = idempotency.user, idempotency.key
+    # No key has a line break.
+    text = key if user is None else f"{user}\n{key}"
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 # ---- A new job: its row, dispatch and key are one statement, which is its own transaction and is built once.
@@ -198,7 +209,7 @@ def add_job(connection: Connection, job: Job, idempotency: Idempotency | None = 
     row = rows.new_job_values(job)
     values = {**row, "attempt": job.next_attempt, "is_queued": job.status == JobStatus.QUEUED}
     if idempotency is not None:
-        values |= {"key_hash": hashed(idempotency.key), "fingerprint": idempotency.fingerprint}
+        values |= {"key_hash": hashed(idempotency), "fingerprint": idempotency.fingerprint}
     statement = _insertion(tuple(row), has_key=idempotency is not None)
     is_new = connection.execute(statement, values).first() is not None
     if is_new:

@@ -5,16 +5,17 @@ continue a listing, come from clients, so they are checked.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
+from enum import Enum
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, Subquery, Table, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, Subquery, Table, func, or_, select, union_all
 
 from core.adapters.postgres.tables import jobs
 from core.errors import JobNotFound, Problem, Rejected
 from core.jobs.job import check_job_id
-from core.jobs.store import JobQuery
+from core.jobs.store import JobQuery, Whose
 from core.jobs.workers import WORKER_NAME
 from core.user_models.record import ModelRecord
 
@@ -54,46 +55,125 @@ def check_worker_cursor(cursor: str) -> str:
     return cursor
 
 
+class Part(Enum):
+    """Listings show one's own first, and then what others have."""
+
+    OWN = "own"
+    OTHERS = "others"
+    ALL = "all"
+
+
+Newest = Callable[[Part, str | None, int], Sequence[Row[Any]]]
+_OTHERS = "others"
+
+
+def own_first(
+    newest: Newest, whose: Whose, cursor: str | None, limit: int
+) -> tuple[Sequence[Row[Any]], str | None]:
+    """A page of at most `limit` rows, and the cursor of the next one.
+
+    newest: rows of a part below an id, at most so many, as `by_bytes` ends them. A cursor among what others
+    have begins with `others`; that alone is their first page.
+    """
+    if whose.first is None or whose.owner is not None:
+        return _page(newest, Part.ALL, None if cursor is None else check_cursor(cursor), limit)
+    part, _, before = (cursor or "").partition("-")
+    if part == _OTHERS:
+        rows, last = _page(newest, Part.OTHERS, check_cursor(before) if before else None, limit)
+        return rows, last and f"{_OTHERS}-{last}"
+    rows, last = _page(newest, Part.OWN, None if cursor is None else check_cursor(cursor), limit)
+    if last is not None:
+        return rows, last
+    if len(rows) == limit:
+        return rows, _OTHERS if newest(Part.OTHERS, None, 1) else None
+    others, last = _page(newest, Part.OTHERS, None, limit - len(rows))
+    return [*rows, *others], last and f"{_OTHERS}-{last}"
+
+
+def _page(
+    newest: Newest, part: Part, before: str | None, limit: int
+) -> tuple[Sequence[Row[Any]], str | None]:
+    found = newest(part, before, limit + 1)
+    page = found[:limit]
+    return page, page[-1].id if has_more(found, len(page)) else None
+
+
+def of(table: Table | Subquery, whose: Whose, part: Part) -> list[ColumnElement[bool]]:
+    """The conditions of a part of what `whose` asks for."""
+    found: list[ColumnElement[bool]] = []
+    if whose.projects is not None:
+        found.append(table.c.project.in_(whose.projects))
+    owner = whose.first if part is Part.OWN else whose.owner
+    if owner is not None:
+        found.append(table.c.owner == owner)
+    if part is Part.OTHERS:
+        found.append(table.c.owner.is_distinct_from(whose.first))
+    return found
+
+
 def _refusal() -> Rejected:
     sentence = "The cursor is not one that this listing gave; leave it out to begin with the first page."
     return Rejected(sentence, [Problem("/cursor", sentence)])
 
 
-def newest(connection: Connection, query: JobQuery, before: str | None, limit: int) -> Sequence[Row[Any]]:
+def newest(
+    connection: Connection, query: JobQuery, part: Part, before: str | None, limit: int
+) -> Sequence[Row[Any]]:
     """The newest jobs that match, of those with ids below `before`; fewer where they are long (`by_bytes`).
 
-    A single condition has an index in the order of ids. Few jobs or none may match several conditions, which
-    the planner cannot know: it would walk through all jobs. So the newest jobs are tried first. If too few of
+    Where projects are the only condition, the newest of each are read by their index. Any other single
+    condition has an index in the order of ids, too. Few jobs or none may match several conditions, which the
+    planner cannot know: it would walk through all jobs. So the newest jobs are tried first. If too few of
     them match, matches are rare, and all of them are collected from the indexes before they are sorted.
     """
-    conditions = _conditions(query, jobs)
-    if len(conditions) > 1 or query.labels or query.search:
-        found = connection.execute(_among_the_newest(query, before, limit)).all()
+    conditions, whose = _conditions(query, jobs), of(jobs, query.whose, part)
+    has_owner = part is Part.OWN or query.whose.owner is not None
+    if not conditions and query.whose.projects and not has_owner:
+        return connection.execute(_of_projects(query.whose, part, before, limit)).all()
+    if (conditions and len(conditions) + len(whose) > 1) or query.labels or query.search:
+        found = connection.execute(_among_the_newest(query, part, before, limit)).all()
         if has_more(found, limit - 1) or not _has_more(connection, before):
             return found
-        return connection.execute(_collected(query, before, limit)).all()
-    wanted = select(jobs).where(*conditions, *_below(before)).order_by(jobs.c.id.desc()).limit(limit)
+        return connection.execute(_collected(query, part, before, limit)).all()
+    matches = [*conditions, *whose, *below(jobs, before)]
+    wanted = select(jobs).where(*matches).order_by(jobs.c.id.desc()).limit(limit)
     return connection.execute(by_bytes(wanted, _size(jobs), "id")).all()
+
+
+def _of_projects(whose: Whose, part: Part, before: str | None, limit: int) -> Any:
+    """The newest of each project, of which the newest: PostgreSQL would sort all jobs of several projects."""
+    others = of(jobs, whose.model_copy(update={"projects": None}), part)
+    each = [
+        select(jobs)
+        .where(jobs.c.project == project, *others, *below(jobs, before))
+        .order_by(jobs.c.id.desc())
+        .limit(limit)
+        for project in whose.projects or ()
+    ]
+    found = union_all(*each).subquery("of_projects")
+    return by_bytes(select(found).order_by(found.c.id.desc()).limit(limit), _size(found), "id")
 
 
 def _size(table: Table | Subquery) -> ColumnElement[int]:
     return func.octet_length(table.c.spec) + func.coalesce(func.octet_length(table.c.progress), 0)
 
 
-def _among_the_newest(query: JobQuery, before: str | None, limit: int) -> Any:
-    near = select(jobs).where(*_below(before)).order_by(jobs.c.id.desc()).limit(_NEAR).subquery("near")
-    wanted = select(near).where(*_conditions(query, near)).order_by(near.c.id.desc()).limit(limit)
+def _among_the_newest(query: JobQuery, part: Part, before: str | None, limit: int) -> Any:
+    near = select(jobs).where(*below(jobs, before)).order_by(jobs.c.id.desc()).limit(_NEAR).subquery("near")
+    matches = [*_conditions(query, near), *of(near, query.whose, part)]
+    wanted = select(near).where(*matches).order_by(near.c.id.desc()).limit(limit)
     return by_bytes(wanted, _size(near), "id")
 
 
 def _has_more(connection: Connection, before: str | None) -> bool:
     """Whether there are jobs beyond the newest."""
-    beyond = select(jobs.c.id).where(*_below(before)).order_by(jobs.c.id.desc()).offset(_NEAR).limit(1)
+    beyond = select(jobs.c.id).where(*below(jobs, before)).order_by(jobs.c.id.desc()).offset(_NEAR).limit(1)
     return connection.execute(beyond).first() is not None
 
 
-def _collected(query: JobQuery, before: str | None, limit: int) -> Any:
-    matches = select(jobs.c.id).where(*_conditions(query, jobs), *_below(before)).cte("matches")
+def _collected(query: JobQuery, part: Part, before: str | None, limit: int) -> Any:
+    conditions = [*_conditions(query, jobs), *of(jobs, query.whose, part), *below(jobs, before)]
+    matches = select(jobs.c.id).where(*conditions).cte("matches")
     matches = matches.prefix_with("MATERIALIZED")
     wanted = select(jobs).join(matches, jobs.c.id == matches.c.id).order_by(jobs.c.id.desc()).limit(limit)
     return by_bytes(wanted, _size(jobs), "id")
@@ -110,8 +190,8 @@ def _conditions(query: JobQuery, table: Table | Subquery) -> list[ColumnElement[
     return found
 
 
-def _below(before: str | None) -> list[ColumnElement[bool]]:
-    return [] if before is None else [jobs.c.id < before]
+def below(table: Table, before: str | None) -> list[ColumnElement[bool]]:
+    return [] if before is None else [table.c.id < before]
 
 
 def by_bytes(wanted: Select[Any], size: ColumnElement[int], *order: str) -> Select[Any]:

@@ -1,6 +1,7 @@
 """The records of users' own models."""
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -8,12 +9,14 @@ import structlog
 from pydantic import ValidationError
 from sqlalchemy import Connection, Row, delete, func, select, tuple_, update
 from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.exc import IntegrityError
 
+from core.accounts.principal import Ownership
 from core.adapters.postgres import listing
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.listing import check_model_cursor, model_cursor
 from core.adapters.postgres.rows import columns, words
-from core.adapters.postgres.tables import NOW, dispatches, models
+from core.adapters.postgres.tables import NOW, dispatches, model_projects, models
 from core.errors import ModelNotFound
 from core.jobs.store import Dispatch
 from core.user_models.record import Description, ModelPage, ModelRecord
@@ -70,7 +73,13 @@ class ModelQueries(Session):
             return [_record(row) for row in connection.execute(select(models).order_by(models.c.id))]
 
     def list_models(
-        self, *, cursor: str | None = None, limit: int = 50, name: str | None = None
+        self,
+        *,
+        cursor: str | None = None,
+        limit: int = 50,
+        name: str | None = None,
+        projects: Collection[str] | None = None,
+        owner: str | None = None,
     ) -> ModelPage:
         wanted = select(models).order_by(models.c.created_at.desc(), models.c.id.desc()).limit(limit + 1)
         if cursor is not None:  # Ids order the models of one moment.
@@ -79,11 +88,40 @@ class ModelQueries(Session):
             )
         if name is not None:
             wanted = wanted.where(models.c.name == name)
+        if projects is not None or owner is not None:
+            has = select(model_projects.c.model_id).where(model_projects.c.model_id == models.c.id)
+            has = has if projects is None else has.where(model_projects.c.project.in_(projects))
+            has = has if owner is None else has.where(model_projects.c.owner == owner)
+            wanted = wanted.where(has.exists())
         size = func.coalesce(func.octet_length(models.c.description), 0)
         with self._statements() as connection:
             found = connection.execute(listing.by_bytes(wanted, size, "created_at", "id")).all()
         page = [_record(row) for row in found[:limit]]
         return ModelPage(page, model_cursor(page[-1]) if listing.has_more(found, len(page)) else None)
+
+    def claim_model(self, model_id: str, ownership: Ownership) -> None:
+        new = insert(model_projects).values(
+            model_id=model_id, project=ownership.project, owner=ownership.owner
+        )
+        try:
+            with self._statements() as connection:
+                connection.execute(new.on_conflict_do_nothing())
+        except IntegrityError:
+            raise ModelNotFound(model_id) from None
+
+    def owners_of_models(self, model_ids: Collection[str]) -> Mapping[str, Sequence[Ownership]]:
+        wanted = select(model_projects).where(model_projects.c.model_id.in_(model_ids))
+        found: dict[str, list[Ownership]] = defaultdict(list)
+        with self._statements() as connection:
+            for row in connection.execute(wanted.order_by(model_projects.c.project)):
+                found[row.model_id].append(Ownership(row.owner, row.project))
+        return found
+
+    def release_model(self, model_id: str, projects: Collection[str]) -> bool:
+        its = model_projects.c.model_id == model_id
+        with self._transaction() as connection:
+            connection.execute(delete(model_projects).where(its, model_projects.c.project.in_(projects)))
+            return connection.execute(select(model_projects.c.project).where(its)).first() is not None
 
 
 def waiting(connection: Connection) -> Sequence[Dispatch]:

@@ -101,6 +101,8 @@ def new_job_values(job: Job) -> Values:
         "created_at": job.created_at,
         "progress": None if job.progress == Progress() else job.progress.model_dump_json(),
         "imported_from": None if job.imported_from is None else job.imported_from.model_dump_json(),
+        "owner": job.owner,
+        "project": job.project,
     }
 
 

@@ -4,6 +4,7 @@ from datetime import datetime, timedelta
 
 from sqlalchemy import Engine, delete, select
 
+from core.adapters.postgres.accounts import AccountQueries
 from core.adapters.postgres.engine import Clock
 from core.adapters.postgres.feeds import FeedQueries
 from core.adapters.postgres.jobs import JobQueries
@@ -17,8 +18,10 @@ from core.adapters.postgres.workers import WorkerQueries
 _SELECT_NOW = select(NOW)
 
 
-class PostgresJobStore(JobQueries, LeaseQueries, FeedQueries, ModelQueries, SweepQueries, WorkerQueries):
-    """A SweepStore, and so a JobStore, for many processes; thread-safe.
+class PostgresJobStore(
+    JobQueries, LeaseQueries, FeedQueries, ModelQueries, SweepQueries, WorkerQueries, AccountQueries
+):
+    """A SweepStore, and so a JobStore, and an AccountStore, for many processes; thread-safe.
 
     Each method is one transaction, or a few statements that are one each; the interfaces state its promises.
     clock_age: how long `now` extrapolates from the database's last answer.

@@ -10,14 +10,15 @@ from pydantic_core import from_json
 from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
+from core.accounts.principal import Ownership
 from core.adapters.postgres import listing, rows
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.jobs import KEYS_REMEMBERED, add_job, hashed
-from core.adapters.postgres.listing import check_cursor
+from core.adapters.postgres.listing import Part
 from core.adapters.postgres.tables import NOW, jobs, sweeps, trials
 from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound, TooManySweeps
 from core.jobs.job import Job
-from core.jobs.store import Idempotency
+from core.jobs.store import ANYBODYS, Idempotency, Whose
 from core.sweeps.spec import SWEEP_SPEC
 from core.sweeps.sweep import Sweep, SweepMark, SweepPage, SweepStatus, Trial
 
@@ -47,6 +48,14 @@ class SweepQueries(Session):
             raise SweepNotFound(sweep_id[:64])
         return _sweep(row)
 
+    def owner_of_sweep(self, sweep_id: str) -> Ownership:
+        wanted = select(sweeps.c.owner, sweeps.c.project).where(sweeps.c.id == sweep_id)
+        with self._statements() as connection:
+            row = connection.execute(wanted).first()
+        if row is None:
+            raise SweepNotFound(sweep_id[:64])
+        return Ownership(row.owner, row.project)
+
     def save_sweep(self, sweep: Sweep) -> None:
         before = update(sweeps).where(sweeps.c.id == sweep.id, sweeps.c.version == sweep.version - 1)
         with self._statements() as connection:
@@ -60,21 +69,27 @@ class SweepQueries(Session):
                 _refuse(connection, sweep_id)
 
     def list_sweeps(
-        self, *, status: SweepStatus | None = None, cursor: str | None = None, limit: int = 50
+        self,
+        *,
+        status: SweepStatus | None = None,
+        whose: Whose = ANYBODYS,
+        cursor: str | None = None,
+        limit: int = 50,
     ) -> SweepPage:
-        wanted = select(sweeps).order_by(sweeps.c.id.desc()).limit(limit + 1)
-        if status is not None:
-            wanted = wanted.where(sweeps.c.status == status.value)
-        if cursor is not None:
-            wanted = wanted.where(sweeps.c.id < check_cursor(cursor))
+        conditions = [] if status is None else [sweeps.c.status == status.value]
         trial_bytes = select(func.coalesce(func.sum(func.octet_length(trials.c.document)), 0)).where(
             trials.c.sweep_id == sweeps.c.id
         )
         size = func.octet_length(sweeps.c.spec) + trial_bytes.scalar_subquery()
         with self._statements() as connection:
-            found = connection.execute(listing.by_bytes(wanted, size, "id")).all()
-        page = [_sweep(row) for row in found[:limit]]
-        return SweepPage(page, page[-1].id if listing.has_more(found, len(page)) else None)
+
+            def newest(part: Part, before: str | None, most: int) -> Sequence[Row[Any]]:
+                matches = [*conditions, *listing.of(sweeps, whose, part), *listing.below(sweeps, before)]
+                wanted = select(sweeps).where(*matches).order_by(sweeps.c.id.desc()).limit(most)
+                return connection.execute(listing.by_bytes(wanted, size, "id")).all()
+
+            found, next_cursor = listing.own_first(newest, whose, cursor, limit)
+        return SweepPage([_sweep(row) for row in found], next_cursor)
 
     def active_marks(self) -> Mapping[str, SweepMark]:
         # Only those trials are read that have not ended, by the index `trials_going`.
@@ -152,11 +167,12 @@ def _add(
 ) -> Sweep:
     has_room = most_active is None or _num_active(connection) < most_active
     values = {**_values(sweep), "id": sweep.id, "created_at": sweep.created_at}
+    values |= {"owner": sweep.owner, "project": sweep.project}
     if idempotency is None:
         _check_room(most_active, has_room=has_room)
         connection.execute(insert(sweeps).values(values))
         return sweep
-    key_hash = hashed(idempotency.key)
+    key_hash = hashed(idempotency)
     is_forgotten = sweeps.c.created_at <= NOW - KEYS_REMEMBERED
     connection.execute(
         update(sweeps)

@@ -14,6 +14,10 @@ idempotency_keys   the submissions of the last day that came with a key
 sweeps      one row per sweep; `key_hash` is that of the idempotency key that its submission came with
 trials      one row per trial of a sweep: the primary key lets each number begin once
 pulse       one row: when the reconciler last reached this database
+users, projects, members   who may use the service, and who sees what
+model_projects   the projects in which a model was sent, each with who sent it there first
+tokens      API tokens, by a public id and the hash of the whole
+audit       what was done; a trigger forbids to change or remove a row
 
 Documents are JSON stored as text: PostgreSQL's JSON types refuse the character U+0000, which a log may hold.
 Labels are JSONB, for their index.
@@ -23,8 +27,10 @@ from typing import Any
 
 from sqlalchemy import (
     BigInteger,
+    Boolean,
     Column,
     ForeignKey,
+    Identity,
     Index,
     Integer,
     LargeBinary,
@@ -77,6 +83,8 @@ jobs = Table(
     Column("last_write", Text),
     # The name of RQ's queue for its next attempt; null where an older version wrote the row.
     Column("queue", Text),
+    Column("owner", Text),
+    Column("project", Text, nullable=False, server_default="default"),
     # Free space in each page: a renewed lease then touches no index.
     postgresql_with={"fillfactor": "80"},
 )
@@ -86,6 +94,8 @@ Index("jobs_by_environment", jobs.c.environment, jobs.c.id)
 # For several conditions at once; PostgreSQL 18 skips a column without a condition.
 Index("jobs_by_state", jobs.c.status, jobs.c.kind, jobs.c.environment, jobs.c.id)
 Index("jobs_by_name", jobs.c.name, jobs.c.id, postgresql_where=jobs.c.name.isnot(None))
+Index("jobs_by_project", jobs.c.project, jobs.c.id)
+Index("jobs_by_owner", jobs.c.owner, jobs.c.id, postgresql_where=jobs.c.owner.isnot(None))
 Index("jobs_by_label", jobs.c.labels, postgresql_using="gin", postgresql_ops={"labels": "jsonb_path_ops"})
 UNFINISHED = ("queued", "starting", "running", "cancelling")
 _IS_UNFINISHED = text("status IN ('queued', 'starting', 'running', 'cancelling')")
@@ -229,6 +239,8 @@ sweeps = Table(
     Column("results", Text, nullable=False, server_default="{}"),
     Column("key_hash", Text, unique=True),
     Column("fingerprint", Text),
+    Column("owner", Text),
+    Column("project", Text, nullable=False, server_default="default"),
 )
 _IS_ACTIVE = text("status IN ('running', 'cancelling')")
 Index("sweeps_active", sweeps.c.id, postgresql_where=_IS_ACTIVE)
@@ -257,3 +269,64 @@ pulse = Table(
     Column("longest_silence", INTERVAL, nullable=False, server_default="0"),
     _moment("quiet_until", nullable=False),
 )
+
+users = Table(
+    "users",
+    metadata,
+    Column("name", Text, primary_key=True),
+    Column("role", Text, nullable=False),
+    Column("active", Boolean, nullable=False, server_default="true"),
+    Column("subject", Text, unique=True),
+    _moment("created_at", nullable=False),
+)
+
+projects = Table(
+    "projects", metadata, Column("name", Text, primary_key=True), _moment("created_at", nullable=False)
+)
+
+members = Table(
+    "members",
+    metadata,
+    Column[Any]("project", ForeignKey(projects.c.name), primary_key=True),
+    Column[Any]("user_name", ForeignKey(users.c.name), primary_key=True),
+)
+Index("members_by_user", members.c.user_name)
+
+model_projects = Table(
+    "model_projects",
+    metadata,
+    Column[Any]("model_id", ForeignKey(models.c.id, ondelete="CASCADE"), primary_key=True),
+    Column("project", Text, primary_key=True),
+    Column("owner", Text),
+)
+
+tokens = Table(
+    "tokens",
+    metadata,
+    Column("id", Text, primary_key=True),
+    Column[Any]("user_name", ForeignKey(users.c.name), nullable=False),
+    Column("name", Text, nullable=False),
+    Column("scope", Text, nullable=False),
+    Column("sha256", Text, nullable=False),
+    _moment("created_at", nullable=False),
+    _moment("expires_at"),
+    _moment("last_used_at"),
+    _moment("revoked_at"),
+)
+Index("tokens_by_user", tokens.c.user_name)
+
+audit = Table(
+    "audit",
+    metadata,
+    Column("id", BigInteger, Identity(always=True), primary_key=True),
+    _moment("at", nullable=False),
+    Column("user_name", Text),
+    Column("token", Text),
+    Column("action", Text, nullable=False),
+    Column("object", Text),
+    Column("details", Text, nullable=False, server_default="{}"),
+    Column("address", Text),
+    Column("correlation_id", Text),
+)
+Index("audit_by_user", audit.c.user_name, audit.c.id)
+Index("audit_by_object", audit.c.object, audit.c.id)

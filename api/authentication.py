@@ -1,0 +1,156 @@
+"""Finds out who makes a request, by its token; counts the requests of each.
+
+What the record said of a token is used for two seconds. So a token that is revoked, a user who is disabled
+and a role that is taken away have no effect any more after two seconds, in every process.
+"""
+
+from dataclasses import dataclass
+from time import monotonic
+from typing import ClassVar
+
+from anyio import CapacityLimiter, to_thread
+from fastapi import Request
+
+from api.problems import EdgeError
+from core.accounts.principal import Principal
+from core.accounts.store import AccountStore, KnownToken
+from core.accounts.tokens import Secret, parse
+
+CACHED_S = 2.0
+# A burst may use what was left over in this time.
+_BURST_S = 10.0
+_MOST_CACHED = 10_000
+# Threads of their own: requests may occupy all of the common pool.
+_THREADS = 4
+_HOW = "send `Authorization: Bearer gaitway_…`; `gaitway login` stores a token for the command"
+
+
+class Unauthenticated(EdgeError):
+    """The service has accounts, and the request has no token that it accepts."""
+
+    status = 401
+    code = "unauthenticated"
+    title = "Who makes this request?"
+
+    def __init__(self, detail: str, reason: str) -> None:
+        super().__init__(detail, reason=reason)
+        self._is_missing = reason == "missing"
+
+    @property
+    def headers(self) -> dict[str, str]:
+        # RFC 6750, section 3: a request without credentials is told no error.
+        return {
+            "WWW-Authenticate": 'Bearer realm="gaitway"' + ', error="invalid_token"' * (not self._is_missing)
+        }
+
+
+class TooManyRequests(EdgeError):
+    """The token makes more requests than GAITWAY_REQUESTS_PER_SECOND allows."""
+
+    status = 429
+    code = "too-many-requests"
+    title = "Too many requests"
+
+    def __init__(self, most: float, wait_s: float) -> None:
+        super().__init__(
+            f"This token makes more than {most:g} requests a second; wait {wait_s:.1f} s.", most=most
+        )
+        self._wait_s = wait_s
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"Retry-After": str(max(1, round(self._wait_s + 0.5)))}
+
+
+@dataclass
+class _Bucket:
+    """Requests that may be made at once, as of a moment."""
+
+    left: float
+    at: float
+
+
+class RequestLimit:
+    """A token bucket for each token, in this process."""
+
+    def __init__(self, per_second: float) -> None:
+        self._per_second = per_second
+        self._most = per_second * _BURST_S
+        self._buckets: dict[str, _Bucket] = {}
+
+    def count(self, who: str) -> None:
+        """Raises TooManyRequests."""
+        now = monotonic()
+        bucket = self._buckets.get(who)
+        if bucket is None:
+            if len(self._buckets) >= _MOST_CACHED:
+                self._buckets.clear()
+            bucket = self._buckets[who] = _Bucket(self._most, now)
+        bucket.left = min(self._most, bucket.left + (now - bucket.at) * self._per_second)
+        bucket.at = now
+        if bucket.left < 1:
+            raise TooManyRequests(self._per_second, (1 - bucket.left) / self._per_second)
+        bucket.left -= 1
+
+
+class Authenticator:
+    """Belongs to one event loop."""
+
+    scheme: ClassVar[str] = "bearer"
+
+    def __init__(self, store: AccountStore, requests_per_second: float) -> None:
+        self._store = store
+        self._limit = RequestLimit(requests_per_second)
+        # By the hash of the whole token, so that no secret stays in memory.
+        self._known: dict[str, tuple[float, Principal]] = {}
+        self._threads = CapacityLimiter(_THREADS)
+
+    async def principal(self, request: Request) -> Principal:
+        """Raises Unauthenticated, TooManyRequests, RecordsUnavailable."""
+        principal = await self.of_secret(_secret(request))
+        self._limit.count(principal.token or "")
+        return principal
+
+    async def of_secret(self, secret: Secret) -> Principal:
+        """Who holds the token. Raises Unauthenticated, RecordsUnavailable."""
+        sha256 = secret.sha256
+        until, principal = self._known.get(sha256, (0.0, None))
+        if principal is not None and monotonic() < until:
+            return principal
+        self._known.pop(sha256, None)
+        until = monotonic() + CACHED_S
+        principal = await to_thread.run_sync(self._find, secret, limiter=self._threads)
+        if len(self._known) >= _MOST_CACHED:
+            self._known.clear()
+        self._known[sha256] = (until, principal)
+        return principal
+
+    def _find(self, secret: Secret) -> Principal:
+        known = self._store.find_token(secret.id)
+        # The same work for an id that does not exist.
+        if not secret.matches("" if known is None else known.sha256) or known is None:
+            raise Unauthenticated(f"This service does not know the token: {_HOW}.", "unknown")
+        _check(known, self._store)
+        return known.principal
+
+
+def _secret(request: Request) -> Secret:
+    sent = request.headers.get("authorization")
+    if sent is None:
+        raise Unauthenticated(f"This service has accounts: {_HOW}.", "missing")
+    scheme, _, text = sent.partition(" ")
+    secret = parse(text.strip()) if scheme.lower() == Authenticator.scheme else None
+    if secret is None:
+        raise Unauthenticated(f"The header Authorization has no token of this form: {_HOW}.", "malformed")
+    return secret
+
+
+def _check(known: KnownToken, store: AccountStore) -> None:
+    token = known.token
+    if token.revoked_at is not None:
+        raise Unauthenticated(f"The token {token.id} was revoked: ask for another one.", "revoked")
+    if token.expires_at is not None and token.expires_at <= store.now():
+        moment = f"{token.expires_at:%Y-%m-%d %H:%M} UTC"
+        raise Unauthenticated(f"The token {token.id} expired at {moment}: make another one.", "expired")
+    if not known.is_active:
+        raise Unauthenticated(f"The user {token.user} is disabled: ask an admin.", "disabled")

@@ -1,0 +1,312 @@
+"""Users, projects, tokens and the audit log; and who one is."""
+
+from datetime import timedelta
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Query, Request
+from pydantic import Field, TypeAdapter
+
+from api.access import Forbidden, PrincipalDep, actor_of
+from api.dependencies import QueryParameters, ServiceDep
+from api.problems import MalformedBody, UnsupportedMediaType, refusals
+from api.submissions import JsonBody, parse
+from api.views import Listing
+from core.accounts.principal import DEFAULT_PROJECT, AccountName, Principal, Role, TokenScope
+from core.accounts.store import Token, User
+from core.accounts.tokens import new_secret
+from core.documents import Strict
+from core.errors import (
+    Conflict,
+    LastAdmin,
+    Problem,
+    ProjectExists,
+    ProjectNotFound,
+    RecordsUnavailable,
+    Rejected,
+    TokenNotFound,
+    UserExists,
+    UserNotFound,
+)
+from core.jobs.spec import Text
+from gaitway.schema import AuditView, NewTokenView, ProjectView, TokenView, UserView, WhoView
+
+router = APIRouter(tags=["accounts"])
+_NAME = Path(max_length=63, examples=["ann"])
+
+
+class AccountsOff(Conflict):
+    """GAITWAY_ACCOUNTS is not set, so nobody has an account here."""
+
+    code = "accounts-off"
+    title = "This service has no accounts"
+
+
+async def _accounts_on(service: ServiceDep) -> None:
+    if service.authenticator is None:
+        raise AccountsOff("This service has no accounts; docs/teams.md says how to turn them on.")
+
+
+_ON = [Depends(_accounts_on)]
+_REFUSED = (AccountsOff, MalformedBody, UnsupportedMediaType, Rejected, RecordsUnavailable)
+
+
+class NewUser(Strict):
+    """A user to add. projects: those that it becomes a member of."""
+
+    name: AccountName
+    role: Role = Role.SUBMITTER
+    projects: list[AccountName] = Field(default=[DEFAULT_PROJECT], max_length=100)
+
+
+class UserChange(Strict):
+    """What changes; the rest stays. active: false refuses all of the user's tokens."""
+
+    role: Role | None = None
+    active: bool | None = None
+
+
+class NewProject(Strict):
+    """A project to add."""
+
+    name: AccountName
+
+
+class MembersChange(Strict):
+    """Who enters the project, and who leaves it."""
+
+    add: list[AccountName] = Field(default=[], max_length=1000)
+    remove: list[AccountName] = Field(default=[], max_length=1000)
+
+
+class NewToken(Strict):
+    """A token to make. user: by default oneself; an admin makes them for others."""
+
+    name: Annotated[str, Field(max_length=100, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")] = ""
+    scope: TokenScope
+    user: AccountName | None = None
+    expires_in_days: Annotated[int, Field(ge=1, le=3650)] | None = Field(
+        default=90, description="null: it does not expire."
+    )
+
+
+_NEW_USER, _USER_CHANGE = TypeAdapter(NewUser), TypeAdapter(UserChange)
+_NEW_PROJECT, _MEMBERS = TypeAdapter(NewProject), TypeAdapter(MembersChange)
+_NEW_TOKEN = TypeAdapter(NewToken)
+
+
+def _body(kind: TypeAdapter[Any]) -> dict[str, Any]:
+    schema = kind.json_schema(ref_template="#/components/schemas/{model}")
+    schema = {name: value for name, value in schema.items() if name != "$defs"}
+    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
+
+
+@router.get("/whoami", responses=refusals(RecordsUnavailable))
+def who_am_i(service: ServiceDep, principal: PrincipalDep) -> WhoView:
+    """Whose token the request has, and what it may do."""
+    return WhoView(
+        accounts=service.authenticator is not None,
+        user=principal.user,
+        role=principal.role,
+        scope=principal.scope,
+        projects=tuple(sorted(principal.projects)),
+        token=principal.token,
+        expires_at=principal.expires_at,
+    )
+
+
+class TokenFilters(QueryParameters):
+    """user: whose; an admin sees those of all by default, others only their own."""
+
+    user: AccountName | None = None
+
+
+@router.get("/tokens", dependencies=_ON, responses=refusals(AccountsOff, Rejected, RecordsUnavailable))
+def list_tokens(
+    listed: Annotated[TokenFilters, Query()], service: ServiceDep, principal: PrincipalDep
+) -> Listing[TokenView]:
+    """Tokens, the newest first, without their secrets."""
+    user = listed.user if principal.is_admin else principal.user
+    found = service.store.tokens(user)
+    return Listing[TokenView](items=[TokenView.model_validate(token) for token in found])
+
+
+@router.post(
+    "/tokens",
+    status_code=201,
+    dependencies=_ON,
+    openapi_extra=_body(_NEW_TOKEN),
+    responses=refusals(*_REFUSED, UserNotFound, Forbidden),
+)
+def create_token(
+    body: JsonBody, request: Request, service: ServiceDep, principal: PrincipalDep
+) -> NewTokenView:
+    """Make a token, which may not do more than the one that makes it, nor live longer; an admin's makes any.
+
+    The answer has the secret, which nobody can ask for again.
+    """
+    wanted = parse(body, _NEW_TOKEN)
+    user = wanted.user or str(principal.user)
+    now, days = service.store.now(), wanted.expires_in_days
+    expires_at = None if days is None else now + timedelta(days=days)
+    if not principal.is_admin:
+        _check_no_more(wanted, principal)
+        if principal.expires_at is not None:
+            expires_at = min(expires_at or principal.expires_at, principal.expires_at)
+    secret = new_secret()
+    token = Token(
+        id=secret.id,
+        user=user,
+        name=wanted.name,
+        scope=wanted.scope,
+        created_at=now,
+        expires_at=expires_at,
+    )
+    added = service.store.add_token(token, secret, actor_of(principal, request))
+    return NewTokenView(**added.model_dump(), secret=secret.text)
+
+
+def _check_no_more(wanted: NewToken, principal: Principal) -> None:
+    """Raises Forbidden."""
+    if wanted.user not in (None, principal.user):
+        raise Forbidden("Only an admin makes tokens for others.", needed_role=Role.ADMIN)
+    reached, own = wanted.scope.role, principal.acts_as
+    if reached is None or own is None or reached.rank > own.rank:
+        raise Forbidden(
+            f"A token of the scope {principal.scope}, of a {principal.role}, makes none of the scope "
+            f"{wanted.scope}.",
+            needed_role=reached or Role.ADMIN,
+        )
+
+
+@router.delete(
+    "/tokens/{token_id}",
+    status_code=204,
+    dependencies=_ON,
+    responses=refusals(AccountsOff, TokenNotFound, RecordsUnavailable),
+)
+def revoke_token(
+    token_id: Annotated[str, Path(max_length=64, examples=["5be0c1d2e3f4"])],
+    request: Request,
+    service: ServiceDep,
+    principal: PrincipalDep,
+) -> None:
+    """Revoke one of your tokens; an admin revokes any. Nothing accepts it after two seconds."""
+    user = None if principal.is_admin else principal.user
+    service.store.revoke_token(token_id, actor_of(principal, request), user=user)
+
+
+@router.get("/users", dependencies=_ON, responses=refusals(AccountsOff, RecordsUnavailable))
+def list_users(service: ServiceDep) -> Listing[UserView]:
+    """All users, by name."""
+    return Listing[UserView](items=[UserView.model_validate(user) for user in service.store.users()])
+
+
+@router.post(
+    "/users",
+    status_code=201,
+    dependencies=_ON,
+    openapi_extra=_body(_NEW_USER),
+    responses=refusals(*_REFUSED, UserExists, ProjectNotFound),
+)
+def add_user(body: JsonBody, request: Request, service: ServiceDep, principal: PrincipalDep) -> UserView:
+    """Add a user, who gets in by a token that an admin makes, or by the identity provider."""
+    wanted = parse(body, _NEW_USER)
+    user = User(
+        name=wanted.name,
+        role=wanted.role,
+        projects=tuple(dict.fromkeys(wanted.projects)),
+        created_at=service.store.now(),
+    )
+    try:
+        return UserView.model_validate(service.store.add_user(user, actor_of(principal, request)))
+    except ProjectNotFound as error:
+        raise Rejected(error.detail, [Problem("/projects", error.detail)]) from None
+
+
+@router.patch(
+    "/users/{name}",
+    dependencies=_ON,
+    openapi_extra=_body(_USER_CHANGE),
+    responses=refusals(*_REFUSED, UserNotFound, LastAdmin),
+)
+def change_user(
+    name: Annotated[str, _NAME],
+    body: JsonBody,
+    request: Request,
+    service: ServiceDep,
+    principal: PrincipalDep,
+) -> UserView:
+    """Give a user another role, or disable or enable them. Their jobs stay."""
+    change = parse(body, _USER_CHANGE)
+    actor = actor_of(principal, request)
+    user = service.store.change_user(name, actor, role=change.role, active=change.active)
+    return UserView.model_validate(user)
+
+
+@router.get("/projects", responses=refusals(RecordsUnavailable))
+def list_projects(service: ServiceDep, principal: PrincipalDep) -> Listing[ProjectView]:
+    """The projects that you see, with their members."""
+    found = [project for project in service.store.projects() if principal.sees(project.name)]
+    return Listing[ProjectView](items=[ProjectView.model_validate(project) for project in found])
+
+
+@router.post(
+    "/projects",
+    status_code=201,
+    dependencies=_ON,
+    openapi_extra=_body(_NEW_PROJECT),
+    responses=refusals(*_REFUSED, ProjectExists),
+)
+def add_project(
+    body: JsonBody, request: Request, service: ServiceDep, principal: PrincipalDep
+) -> ProjectView:
+    """Add a project, which has no members yet."""
+    wanted = parse(body, _NEW_PROJECT)
+    project = service.store.add_project(wanted.name, actor_of(principal, request))
+    return ProjectView.model_validate(project)
+
+
+@router.patch(
+    "/projects/{name}",
+    dependencies=_ON,
+    openapi_extra=_body(_MEMBERS),
+    responses=refusals(*_REFUSED, ProjectNotFound),
+)
+def change_members(
+    name: Annotated[str, _NAME],
+    body: JsonBody,
+    request: Request,
+    service: ServiceDep,
+    principal: PrincipalDep,
+) -> ProjectView:
+    """Let users enter a project or leave it. What they submitted there stays there."""
+    change, actor = parse(body, _MEMBERS), actor_of(principal, request)
+    try:
+        project = service.store.change_members(name, actor, add=change.add, remove=change.remove)
+    except UserNotFound as error:
+        place = "/add" if error.facts["user"] in change.add else "/remove"
+        raise Rejected(error.detail, [Problem(place, error.detail)]) from None
+    return ProjectView.model_validate(project)
+
+
+class AuditFilters(QueryParameters):
+    """Filters of the audit log; each one given must match."""
+
+    user: AccountName | None = None
+    action: Text | None = Field(None, description="Its beginning, such as `job.` or `token.revoked`.")
+    object: Text | None = Field(None, description="Such as `job 019aa3c2f0b1-5be0c1d2e3`.")
+    cursor: str | None = Field(
+        None,
+        max_length=100,
+        description="The `next` of an earlier page.",
+        json_schema_extra={"pattern": "^[0-9]{1,18}$"},
+    )
+    limit: int = Field(50, ge=1, le=200)
+
+
+@router.get("/audit", dependencies=_ON, responses=refusals(AccountsOff, Rejected, RecordsUnavailable))
+def read_audit(listed: Annotated[AuditFilters, Query()], service: ServiceDep) -> Listing[AuditView]:
+    """What was done, by whom and from where, the newest first. Nobody can change or remove an entry."""
+    page = service.store.audit(**listed.model_dump())
+    items = [AuditView.model_validate(entry) for entry in page.entries]
+    return Listing[AuditView](items=items, next=page.next_cursor)

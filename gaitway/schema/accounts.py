@@ -1,0 +1,76 @@
+"""Users, projects, tokens, and the audit log."""
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from pydantic import Field
+
+from gaitway.schema.base import Role, TokenScope, View
+
+
+class WhoView(View):
+    """Who makes the request. accounts: whether the service has any; without, everybody may do everything.
+
+    role: the user's; scope: of the token. A request may do what both allow.
+    """
+
+    accounts: bool
+    user: str | None = None
+    role: Role
+    scope: TokenScope
+    projects: tuple[str, ...] = ()
+    token: str | None = None
+    expires_at: datetime | None = None
+
+
+class UserView(View):
+    """A user. subject: that of the identity provider, once the user has signed in there."""
+
+    name: str = Field(examples=["ann"])
+    role: Role
+    active: bool = True
+    subject: str | None = None
+    projects: tuple[str, ...] = ()
+    created_at: datetime
+
+
+class ProjectView(View):
+    """A project, whose members see what is in it."""
+
+    name: str = Field(examples=["gaits"])
+    members: tuple[str, ...] = ()
+    created_at: datetime
+
+
+class TokenView(View):
+    """A token without its secret. last_used_at: to the minute."""
+
+    id: str = Field(examples=["5be0c1d2e3f4"])
+    user: str
+    name: str = ""
+    scope: TokenScope
+    created_at: datetime
+    expires_at: datetime | None = None
+    last_used_at: datetime | None = None
+    revoked_at: datetime | None = None
+
+
+class NewTokenView(TokenView):
+    """A token that was just made. secret: shown this once."""
+
+    secret: str = Field(examples=["gaitway_5be0c1d2e3f4_…"])
+
+
+class AuditView(View):
+    """Something that was done. object: the kind and id of the thing; address: of the client."""
+
+    id: int
+    at: datetime
+    user: str | None = None
+    token: str | None = None
+    action: str = Field(examples=["job.cancelled"])
+    object: str | None = Field(None, examples=["job 019aa3c2f0b1-5be0c1d2e3"])
+    details: Mapping[str, Any] = {}
+    address: str | None = None
+    correlation_id: str | None = None
