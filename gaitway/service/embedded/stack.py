@@ -8,7 +8,7 @@ import socket
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -26,6 +26,8 @@ from gaitway.service.embedded.stopped import StoppedProcesses
 from gaitway.service.embedded.weed import Weed
 from gaitway.service.installed import CODE, IS_WHEEL
 
+LOOPBACK = "127.0.0.1"
+_ANY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 # Compared, not bound.
 FIRST_PORT = 8000
 _PORTS_TRIED = 100
 _GRACE_S = 30
@@ -51,21 +53,26 @@ class _Member:
 class Stack:
     """Starts everything on entry, ends everything on exit. Use it from the main thread.
 
-    port: of the API on the loopback interface; by default 8000, or the next that is free. prepare: what idle
+    host, port: of the API; by default 127.0.0.1 and 8000, or the next port that is free. accounts: whether
+    users have them; None: as GAITWAY_ACCOUNTS says. prepare: what idle
     workers compile where GAITWAY_PREPARE is not set.
     report: takes each sentence for the user. Raises ServerFailed where something does not start.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 # All but the folder are named.
         self,
         data_dir: Path,
         *,
+        host: str = LOOPBACK,
         port: int | None = None,
         num_workers: int = 1,
+        accounts: bool | None = None,
         prepare: str = "",
         report: Callable[[str], None] = lambda sentence: None,
     ) -> None:
+        self._host = host
         self._wanted_port = port
+        self._accounts = accounts
         self._num_workers = num_workers
         self._prepare = prepare
         self._report = report
@@ -84,6 +91,11 @@ class Stack:
     def data_dir(self) -> Path:
         """Where everything lives: a folder for each process, its log inside."""
         return self._folder
+
+    @property
+    def store_settings(self) -> Mapping[str, str]:
+        """The variables under which a process finds the stores."""
+        return {} if self._where_servers_are is None else json.loads(self._where_servers_are)
 
     @property
     def interruption(self) -> Interruption:
@@ -160,7 +172,7 @@ class Stack:
 
     def _start(self) -> None:
         # Held until the API takes it: else a SeaweedFS may choose it, and that answers at /readyz, too.
-        with _take_port(self._wanted_port) as held:
+        with _take_port(self._host, self._wanted_port) as held:
             port = held.getsockname()[1]
             self._folder = private_folder(self._folder)
             self._lock = lock_folder(self._folder)
@@ -168,7 +180,7 @@ class Stack:
             self._weed = servers.weed
             # They import their modules while the servers start.
             reconciler = self._add_module("reconciler", "worker.reconciler")
-            api = self._add_module("api", "api.main", "--port", str(port))
+            api = self._add_module("api", "api.main", "--host", self._host, "--port", str(port))
             # PostgreSQL last: its first launch returns only after it has made its files.
             for server in reversed(servers.all):
                 self._servers.append(_Member(server.process, server.launch, server.stop))
@@ -183,9 +195,10 @@ class Stack:
             process.send_input(self._where_servers_are)
         for number in range(1, self._num_workers + 1):
             self._add_module(f"{_WORKER}{number}", "worker.main")
-        self.url = f"http://127.0.0.1:{port}"
+        here = LOOPBACK if self._host in _ANY_ADDRESS else self._host
+        self.url = f"http://{f'[{here}]' if ':' in here else here}:{port}"
         with self._interruption.allowed():
-            api.wait_until(lambda: _check_ready(reconciler, port))
+            api.wait_until(lambda: _check_ready(reconciler, here, port))
 
     def _add_module(self, name: str, *module: str) -> ServerProcess:
         """Start it; it runs once it is told where the servers are."""
@@ -210,6 +223,7 @@ class Stack:
             "GAITWAY_PREPARE": self._prepare,
             **{name: value for name, value in os.environ.items() if name not in leaks},
             **code,
+            **({} if self._accounts is None else {"GAITWAY_ACCOUNTS": str(self._accounts).lower()}),
             "GAITWAY_DATA_DIR": str(self._folder),
             "GAITWAY_GRACE": f"PT{_GRACE_S}S",
             # It must not import modules from its working directory.
@@ -240,12 +254,13 @@ class Stack:
             members.clear()
 
 
-def _take_port(wanted: int | None) -> socket.socket:
+def _take_port(host: str, wanted: int | None) -> socket.socket:
     """A listener at the API's port. Raises ServerFailed where it is in use."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     ports = [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + _PORTS_TRIED)
     for port in ports:
         with suppress(OSError):
-            return socket.create_server(("127.0.0.1", port))
+            return socket.create_server((host, port), family=family)
     if wanted is not None:
         raise ServerFailed(f"Port {wanted} is in use; choose another, or none to take the next free one.")
     raise ServerFailed(f"No port from {FIRST_PORT} to {FIRST_PORT + _PORTS_TRIED - 1} is free; name one.")
@@ -267,10 +282,10 @@ def lock_folder(folder: Path) -> IO[str]:
     return lock
 
 
-def _check_ready(reconciler: ServerProcess, port: int) -> None:
+def _check_ready(reconciler: ServerProcess, host: str, port: int) -> None:
     """Raises Unavailable until the API says that it is ready; ServerFailed where it cannot become so."""
     reconciler.check()  # Without it there are no tables.
-    connection = HTTPConnection("127.0.0.1", port, timeout=2)  # Importing httpx would take longer.
+    connection = HTTPConnection(host, port, timeout=2)  # Importing httpx would take longer.
     try:
         connection.request("GET", "/readyz")
         answer = connection.getresponse()

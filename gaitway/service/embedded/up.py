@@ -1,19 +1,24 @@
 """Starts the service on this machine and stays: `./run up`, `gaitway up`."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from core.errors import EXIT_STATUS
+from core.variables import variable
 from gaitway.local import announced
 from gaitway.service.embedded.interruption import Interrupted
 from gaitway.service.embedded.processes import ServerFailed
-from gaitway.service.embedded.stack import Stack
+from gaitway.service.embedded.stack import LOOPBACK, Stack
 from gaitway.service.installed import PROGRAM, data_folder
 
 # Most people train this environment first.
 _PREPARED = "ant"
+# In the data folder, until somebody removes it.
+FIRST_ADMIN = "first-admin.token"
 
 
 def report(sentence: str) -> None:
@@ -21,10 +26,39 @@ def report(sentence: str) -> None:
     print(sentence, file=sys.stderr, flush=True)
 
 
-def run_stack(data_dir: Path, *, port: int | None = None, num_workers: int = 1) -> int:
-    """Serve until Ctrl-C, SIGTERM or SIGHUP; the exit status."""
+def run_stack(
+    data_dir: Path,
+    *,
+    host: str = LOOPBACK,
+    port: int | None = None,
+    num_workers: int = 1,
+    accounts: bool = False,
+) -> int:
+    """Serve until Ctrl-C, SIGTERM or SIGHUP; the exit status.
+
+    accounts: let users have them, and make the first admin; without, GAITWAY_ACCOUNTS decides.
+    """
+    accounts = accounts or os.environ.get(variable("accounts"), "").lower() in ("1", "true", "yes", "on")
+    if not accounts and host not in (LOOPBACK, "::1", "localhost"):
+        report(
+            f"Without accounts the service does not listen at {host}: anyone who reaches that address could "
+            "read, cancel and delete everything. Say --accounts (docs/teams.md), or leave --host out and "
+            "reach it by `ssh -L 8000:127.0.0.1:8000 thatmachine`."
+        )
+        return EXIT_STATUS
+    parts = Stack(
+        data_dir,
+        host=host,
+        port=port,
+        num_workers=num_workers,
+        accounts=accounts,
+        prepare=_PREPARED,
+        report=report,
+    )
     try:
-        with Stack(data_dir, port=port, num_workers=num_workers, prepare=_PREPARED, report=report) as stack:
+        with parts as stack:
+            if accounts:
+                _make_first_admin(stack)
             print(f"Gaitway is at {stack.url}  (its interface: {stack.url}/docs)", flush=True)
             print(f"Data and logs are in {stack.data_dir}. Ctrl-C ends it.", flush=True)
             try:
@@ -39,6 +73,20 @@ def run_stack(data_dir: Path, *, port: int | None = None, num_workers: int = 1) 
     except Interrupted as interrupted:
         return interrupted.exit_status
     return 0
+
+
+def _make_first_admin(stack: Stack) -> None:
+    """An admin named as this system's user, unless there is one; the token is left in the data folder."""
+    from core.accounts.first_admin import first_admin, leave, name_here
+    from core.adapters.postgres.engine import connect_postgres
+    from core.adapters.postgres.store import PostgresJobStore
+
+    store = PostgresJobStore(connect_postgres(stack.store_settings[variable("database_url")], pool_size=0))
+    file = stack.data_dir / FIRST_ADMIN
+    if (secret := first_admin(store, name := name_here())) is not None:
+        file.unlink(missing_ok=True)
+        leave(secret, file)
+        report(f"The first admin is {name}; the token is in {file}: `gaitway login < {file}`.")
 
 
 def _leave_address(url: str, while_it_runs: ExitStack) -> None:
@@ -77,10 +125,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog=f"{PROGRAM} up", description="Start the service on this machine and stay."
     )
     parser.add_argument("--port", type=port_number, help="of the API; by default 8000 or the next free one")
+    parser.add_argument("--host", default=LOOPBACK, help="where it listens; another one needs --accounts")
+    parser.add_argument("--accounts", action="store_true", help="users have accounts; makes the first admin")
     parser.add_argument("--data", type=Path, default=data_folder(), metavar="DIR")
     parser.add_argument("--workers", type=not_negative, default=1, metavar="N")
     chosen = parser.parse_args(arguments)
-    return run_stack(chosen.data, port=chosen.port, num_workers=chosen.workers)
+    return run_stack(
+        chosen.data,
+        host=chosen.host,
+        port=chosen.port,
+        num_workers=chosen.workers,
+        accounts=chosen.accounts,
+    )
 
 
 if __name__ == "__main__":

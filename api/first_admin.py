@@ -1,0 +1,40 @@
+"""`python -m api.first_admin`: makes the first admin of a service with accounts. Composition root."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from core.accounts.first_admin import first_admin, leave, name_here
+from core.configuration import read, stopping_if_misconfigured
+from core.errors import Unavailable
+from core.settings import StoreSettings
+
+
+@stopping_if_misconfigured()
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code 1 if there is an admin already, or the record cannot be reached."""
+    from core.adapters.wiring import job_store
+
+    parser = argparse.ArgumentParser(prog="python -m api.first_admin", description=__doc__)
+    parser.add_argument("--name", default=name_here(), help="of the user; default: %(default)s")
+    parser.add_argument("--file", type=Path, help="where the token goes; by default to stdout")
+    chosen = parser.parse_args(arguments)
+    try:
+        secret = first_admin(job_store(read(StoreSettings), pool_size=0), chosen.name)
+        if secret is None:
+            raise ValueError("There is an admin already: that user makes others, by `gaitway users add`.")
+        if chosen.file is None:
+            sys.stdout.write(f"{secret.text}\n")
+        else:
+            leave(secret, chosen.file)
+    except (OSError, ValueError, Unavailable) as error:
+        sys.stderr.write(f"{error}\n")
+        return 1
+    where = "" if chosen.file is None else f" Its token is in {chosen.file}: `gaitway login < {chosen.file}`."
+    sys.stderr.write(f"The first admin is {chosen.name}.{where}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
