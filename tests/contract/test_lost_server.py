@@ -12,6 +12,7 @@ from threading import Barrier
 import psutil
 import pytest
 
+from core.accounts.principal import NOBODYS
 from core.adapters.postgres import schema
 from core.adapters.postgres.engine import DEADLINE_S, connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
@@ -89,6 +90,10 @@ def calls(job: Job) -> Mapping[str, Call]:
         "num_waiting_models": lambda jobs: jobs.num_waiting_models(),
         "models": lambda jobs: jobs.models(),
         "list_models": lambda jobs: jobs.list_models(),
+        "owner_of": lambda jobs: jobs.owner_of(job.id),
+        "claim_model": lambda jobs: jobs.claim_model(MODEL, NOBODYS),
+        "owners_of_models": lambda jobs: jobs.owners_of_models([MODEL]),
+        "release_model": lambda jobs: jobs.release_model(MODEL, ["default"]),
     }
 
 

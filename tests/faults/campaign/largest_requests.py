@@ -381,7 +381,30 @@ def _preview(service: Service, route: str) -> Iterator[Form]:
     yield Form(route, "5,000 characters, 1920 x 1920 pixels", "GET", path, (200, 202, 503))
 
 
+def _of_accounts(method: str, path: str, **document: Any) -> Forms:
+    """A service without accounts refuses it, once it has read it."""
+
+    def made(service: Service, route: str) -> Iterator[Form]:
+        body = _json(document) if document else None
+        headers = {"Content-Type": _JSON} if document else {}
+        yield Form(route, "all lists full" if document else "", method, path, (409,), body, headers)
+
+    return made
+
+
+_MEMBERS = [f"{n:063}" for n in range(1000)]
 _FORMS: dict[str, Forms] = {
+    "GET /whoami": _get("/whoami"),
+    "GET /projects": _get("/projects"),
+    "POST /projects": _of_accounts("POST", "/projects", name="p" * 63),
+    "PATCH /projects/{name}": _of_accounts("PATCH", "/projects/p", add=_MEMBERS, remove=_MEMBERS),
+    "GET /users": _of_accounts("GET", "/users"),
+    "POST /users": _of_accounts("POST", "/users", name="u" * 63, projects=_MEMBERS[:100]),
+    "PATCH /users/{name}": _of_accounts("PATCH", "/users/u", role="viewer", active=False),
+    "GET /tokens": _of_accounts("GET", "/tokens"),
+    "POST /tokens": _of_accounts("POST", "/tokens", scope="read", name="n" * 100),
+    "DELETE /tokens/{token_id}": _of_accounts("DELETE", "/tokens/0"),
+    "GET /audit": _of_accounts("GET", "/audit?limit=200"),
     "POST /jobs": _submissions,
     "GET /jobs": _listing_of_jobs,
     "GET /jobs/{job_id}": _of_import(""),
