@@ -6,12 +6,15 @@ GaitwayError
 │   │   └── NotReady   it may come: try again after `retry_after_s`
 │   ├── Conflict       it exists, but not in a state that allows this
 │   ├── Rejected       the request itself is wrong; `errors` say where
+│   │   ├── Unauthenticated  the service wants a token, or no longer accepts this one
+│   │   └── Forbidden        token, role or ownership do not allow it
 │   └── Unavailable    try again after `retry_after_s`
 ├── WrongAddress       the service's address is not one of HTTP
 ├── Unreachable        no service answers
 ├── WaitTimeout        the job has not ended in the time given
 ├── DownloadFailed     a file could not be brought whole
 ├── PolicyUnreadable   a policy's file is damaged, or this version does not know its format
+├── UnsafeFile         others can read the file with this user's tokens, or it is damaged
 └── MissingExtra       a part of the package is not installed
 """
 
@@ -73,6 +76,14 @@ class Rejected(ApiError):
     """400, 413, 415, 422 and every other refusal of the request itself."""
 
 
+class Unauthenticated(Rejected):
+    """401: the service has accounts, and the request had no token that it accepts."""
+
+
+class Forbidden(Rejected):
+    """403: the token's scope, its user's role or somebody else's ownership does not allow it."""
+
+
 class Unavailable(ApiError):
     """429, 502, 503, 504."""
 
@@ -104,6 +115,10 @@ class DownloadFailed(GaitwayError):
 
 class PolicyUnreadable(GaitwayError):
     """The file is damaged, or of an algorithm or a format that this version of the client does not know."""
+
+
+class UnsafeFile(GaitwayError):
+    """The file of `gaitway login` cannot be used; the message says what to do."""
 
 
 class MissingExtra(GaitwayError, ImportError):
@@ -144,6 +159,8 @@ def retry_after(response: httpx.Response) -> float | None:
 def _family(status: int, retry_after_s: float | None) -> type[ApiError]:
     if status in (404, 410):
         return NotFound if retry_after_s is None else NotReady
+    if status in (401, 403):
+        return Unauthenticated if status == 401 else Forbidden
     if status in (409, 412):
         return Conflict
     if status in (429, 502, 503, 504):

@@ -7,21 +7,24 @@ from typing import Any, Self
 import httpx
 
 from gaitway.addresses import address
+from gaitway.async_client.accounts import AsyncAccounts
 from gaitway.async_client.files import AsyncFiles
 from gaitway.async_client.jobs import AsyncJob
 from gaitway.async_client.sweeps import AsyncSweeps
+from gaitway.credentials import token_for
 from gaitway.retry import Retry
 
 __all__ = ["AsyncClient", "AsyncJob"]
 
 
-class AsyncClient(AsyncFiles, AsyncSweeps):
+class AsyncClient(AsyncFiles, AsyncSweeps, AsyncAccounts):
     """Talks to one service. Usable as a context manager; `Client` also from several threads.
 
     `AsyncClient` has the methods of `Client`, awaited; `list`, `sweeps`, `models`, `workers`, `events` and
     `logs` are read with `async for`.
-    base_url: by default that of GAITWAY_URL, otherwise http://127.0.0.1:8000. http: an httpx client.
-    Every method raises ApiError for a refusal (NotFound, Conflict, Rejected, Unavailable), and
+    base_url: by default that of GAITWAY_URL, otherwise http://127.0.0.1:8000. token: for a service with
+    accounts; by default that of GAITWAY_TOKEN, or the one that `gaitway login` has stored for this address.
+    http: an httpx client. Every method raises ApiError for a refusal (NotFound, Conflict, Rejected, Unavailable), and
     Unreachable when nothing answers. Temporary failures are retried first; a retry never has an
     effect twice, not even that of `submit`. An address without http:// is a WrongAddress.
     """
@@ -30,11 +33,13 @@ class AsyncClient(AsyncFiles, AsyncSweeps):
         self,
         base_url: str | None = None,
         *,
+        token: str | None = None,
         timeout_s: float = 30.0,
         retry: Retry | None = None,
         http: httpx.AsyncClient | None = None,
     ) -> None:
-        super().__init__(address(base_url), timeout_s, retry or Retry(), http)
+        url = address(base_url)
+        super().__init__(url, token or token_for(url), timeout_s, retry or Retry(), http)
 
     @property
     def base_url(self) -> str:
@@ -54,7 +59,8 @@ class AsyncClient(AsyncFiles, AsyncSweeps):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy, also one in another process, has connections of its own."""
-        return partial(type(self), self.base_url, timeout_s=self._timeout_s, retry=self._retry), ()
+        facts = {"token": self._token, "timeout_s": self._timeout_s, "retry": self._retry}
+        return partial(type(self), self.base_url, **facts), ()
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.base_url!r})"

@@ -22,8 +22,12 @@ _PAGE = 100
 class AsyncConnection:
     """One connection pool to one service. Usable as a context manager."""
 
-    def __init__(self, base_url: str, timeout_s: float, retry: Retry, http: httpx.AsyncClient | None) -> None:
+    def __init__(
+        self, base_url: str, token: str | None, timeout_s: float, retry: Retry, http: httpx.AsyncClient | None
+    ) -> None:
         self._base_url, self._timeout_s, self._retry = base_url, timeout_s, retry
+        self._token = token
+        self._credentials = {} if token is None else {"Authorization": f"Bearer {token}"}
         self._http = http or httpx.AsyncClient(**http_options(base_url))
 
     async def _request(
@@ -34,9 +38,10 @@ class AsyncConnection:
         file: Path | None = None,
         read_timeout_s: float | None = None,
         headers: Mapping[str, str] | None = None,
+        once: bool = False,
         **content: Any,
     ) -> httpx.Response:
-        """The whole answer. file: sent in pieces. read_timeout_s: by default the client's.
+        """The whole answer. file: sent in pieces. read_timeout_s: by default the client's. once: no retry.
 
         Temporary failures are retried. Raises ApiError, and Unreachable when no attempt got an answer.
         """
@@ -47,7 +52,7 @@ class AsyncConnection:
             try:
                 with reachable(self._base_url):
                     response = await self._http.request(
-                        method, path, headers=headers, timeout=self._timeout(read_timeout_s), **content
+                        method, path, headers={**self._credentials, **(headers or {})}, timeout=self._timeout(read_timeout_s), **content
                     )
                 # A retried DELETE may find that the first one has worked although its answer was lost.
                 worked_before = method == "DELETE" and failures > 1 and response.status_code == 404
@@ -55,7 +60,7 @@ class AsyncConnection:
                     return response
                 raise problem_of(response)
             except (Unreachable, Unavailable) as error:
-                if failures == self._retry.attempts:
+                if once or failures == self._retry.attempts:
                     raise
                 await async_sleep(self._retry.delay_s(failures, error))
         raise AssertionError("a Retry needs at least one attempt")
@@ -70,7 +75,7 @@ class AsyncConnection:
         read_timeout_s: float | None = None,
     ) -> AsyncGenerator[httpx.Response]:
         """An answer whose body is read in pieces. Raises ApiError; and Unreachable, also while it is read."""
-        timeout = self._timeout(read_timeout_s)
+        timeout, headers = self._timeout(read_timeout_s), {**self._credentials, **(headers or {})}
         with reachable(self._base_url):
             async with self._http.stream(
                 "GET", path, headers=headers, params=params, timeout=timeout

@@ -245,24 +245,32 @@ class AsyncFiles(AsyncJobs, AsyncCatalog, AsyncDownloads):
         return await self._save(path_of("jobs", job_id, "report.html"), target(f"{job_id}.html", path))
 
     async def import_job(
-        self, path: str | Path, *, idempotency_key: str | None = None, timeout: float = 600.0
+        self,
+        path: str | Path,
+        *,
+        project: str | None = None,
+        idempotency_key: str | None = None,
+        timeout: float = 600.0,
     ) -> AsyncJob:
         """Make an ended job of an export, from this service or another: others can resume from it.
 
         The user's own model in it is sent first. Retries of the request create only one job; idempotency_key
-        extends this to several calls. timeout: seconds for the service to store it. Raises Rejected where the
+        extends this to several calls. project: whose members see it. timeout: seconds for the service to store it. Raises Rejected where the
         file is no whole export, or the service cannot have such a job (docs/sharing.md).
         """
         file = Path(path)
         with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
             for model in await async_run(partial(models_in, file, Path(folder))):
-                await self.add_model(model, timeout)
+                await self.add_model(model, timeout, project=project)
         headers = {
             "Content-Type": "application/zip",
             "Idempotency-Key": idempotency_key or uuid.uuid4().hex,
         }
         # The service answers once it has read all of the file and stored it.
-        return await self._post("/jobs/import", AsyncJob, file=file, headers=headers, read_timeout_s=timeout)
+        params = {"project": project} if project else {}
+        return await self._post(
+            "/jobs/import", AsyncJob, file=file, headers=headers, params=params, read_timeout_s=timeout
+        )
 
     async def _announced(
         self, job_id: str, find: Callable[[JobView], ArtifactView | None], href: str

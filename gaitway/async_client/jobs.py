@@ -63,7 +63,7 @@ class AsyncJobs(AsyncFollowing):
         """Jobs in brief, newest first, fetched page by page as needed; at most `limit`.
 
         Each has its newest ten attempts and files of each role; `get` has all.
-        filters: status, kind, environment, name, and labels (a dict, every one must match).
+        filters: status, kind, environment, name, owner, project, and labels (a dict, every one must match).
         """
         return self._all("/jobs", AsyncJob, limit, _query(filters))
 

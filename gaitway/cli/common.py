@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 from gaitway.addresses import ID_LENGTH, SEARCHED, the_one
 from gaitway.cli.terminal import Console, escaped, plain_output
 from gaitway.client import Client
-from gaitway.errors import GaitwayError, Rejected
+from gaitway.errors import GaitwayError, Rejected, Unauthenticated
 from gaitway.schema import JobView, SweepView
 
 # For commands whose arguments are for the programs that they start.
@@ -38,6 +38,8 @@ class CommandGroup(TyperGroup):
                 return super().invoke(ctx)
         except GaitwayError as error:
             complain(str(error))
+            if isinstance(error, Unauthenticated) and "gaitway login" not in str(error):
+                complain("`gaitway login` stores another token.")
             raise typer.Exit(2 if isinstance(error, Rejected) else 1) from None
         except BrokenPipeError:
             raise typer.Exit(1) from None

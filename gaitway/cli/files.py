@@ -100,10 +100,13 @@ def import_job(
         Path,
         typer.Argument(exists=True, dir_okay=False, help="As `gaitway export JOB --format zip` made it."),
     ],
+    project: Annotated[
+        str | None, typer.Option(help="Whose members see it; needless with one project of your own.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Make an ended job of an export, to resume from and to roll out; its model is sent, too."""
-    job = client_of(context).import_job(file)
+    job = client_of(context).import_job(file, project=project)
     if as_json:
         print_json(job)
         return

@@ -40,12 +40,15 @@ def jobs(  # noqa: PLR0913 # A command line's options.
     label: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help="Every one must match.")
     ] = None,
+    owner: Annotated[str | None, typer.Option(help="A user's name.")] = None,
+    project: Annotated[str | None, typer.Option(help="One of yours.")] = None,
     limit: Annotated[int, typer.Option("--limit", "-n", min=1)] = 20,
     as_json: AsJson = False,
 ) -> None:
-    """List jobs, newest first."""
+    """List jobs, newest first; with accounts your own before those of others."""
     labels = dict(_label(text) for text in label or ())
     filters = {"status": status, "kind": kind, "environment": environment, "name": name, "labels": labels}
+    filters |= {"owner": owner, "project": project}
     found = list(client_of(context).list(limit=limit, **filters))
     if as_json:
         print_json(found)
@@ -116,13 +119,15 @@ def _label(text: str) -> tuple[str, str]:
 
 def _table(found: Sequence[JobView]) -> Table:
     table = Table(box=None, pad_edge=False)
-    for column in ("JOB", "KIND", "ENVIRONMENT", "STATUS", "STEPS", "AGE", "NAME"):
+    owned = any(job.owner for job in found)
+    for column in ("JOB", "KIND", "ENVIRONMENT", "STATUS", "STEPS", "AGE", *["OWNER"] * owned, "NAME"):
         table.add_column(column, no_wrap=column == "JOB")
     for job in found:
         age = duration((datetime.now(UTC) - job.created_at).total_seconds())
         share = f"{100 * job.progress.step / job.progress.total:.0f} %" if job.progress.total else ""
         status = Text(_status(job), style=_STYLES.get(job.status, ""))
-        texts = (job.id, job.kind, job.environment or "", status, share, age, job.name or "")
+        owner = [job.owner or ""] * owned
+        texts = (job.id, job.kind, job.environment or "", status, share, age, *owner, job.name or "")
         table.add_row(*(text if isinstance(text, Text) else Text(text) for text in texts))
     return table
 
@@ -136,6 +141,7 @@ def _lines(job: JobView) -> list[str]:
     lines = [f"{job.id}  {job.kind}  {job.environment}  {_status(job)}"]
     facts = {
         "name": job.name,
+        "owner": job.owner and f"{job.owner}, in the project {job.project}",
         "labels": ", ".join(f"{name}={value}" for name, value in job.labels.items()),
         "message": job.message,
         "created": _local(job.created_at),

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from gaitway.cli import (
+    accounts,
     compare,
     environments,
     files,
@@ -72,10 +73,17 @@ for command in (
     sweeps.sweep,
     jobs.workers,
     jobs.slots,
+    accounts.login,
+    accounts.logout,
+    accounts.whoami,
+    accounts.audit,
 ):
     app.command()(command)
 app.command("open")(watch.open_job)
 app.command("import")(files.import_job)
+app.add_typer(accounts.users, name="users")
+app.add_typer(accounts.projects, name="projects")
+app.add_typer(accounts.tokens, name="tokens")
 app.add_typer(models.models, name="models")
 app.add_typer(sweeps.sweeps, name="sweeps")
 service.add_commands(app)

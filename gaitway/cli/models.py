@@ -30,13 +30,16 @@ def add(
         str | None,
         typer.Option(metavar="FILE", help="Of a zip with several documents: the one that is the model."),
     ] = None,
+    project: Annotated[
+        str | None, typer.Option(help="Whose members may use it; needless with one project of your own.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Send a model, and show what is in it once it is validated."""
     client = client_of(context)
     if wait := what_a_model_waits_for(list(client.workers())):
         Console(stderr=True).print(Text(wait), soft_wrap=True)
-    _told(client.add_model(file, name=name, main=main), as_json)
+    _told(client.add_model(file, name=name, main=main, project=project), as_json)
 
 
 @models.command("list")

@@ -26,7 +26,7 @@ from gaitway.schema import JobView
 # The fields of a job; every other name in `--set` is an option of its environment.
 JOB_FIELDS = frozenset(
     {
-        *("kind", "name", "labels", "environment", "physics", "randomization", "seed", "seeds", "video"),
+        *("kind", "name", "project", "labels", "environment", "physics", "randomization", "seed", "seeds", "video"),
         *(
             "resources",
             "priority",
@@ -71,6 +71,9 @@ def submit(  # noqa: PLR0913 # A command line's options.
         str | None, typer.Option(metavar="N,N,…", help="Several, trained side by side in one job.")
     ] = None,
     name: Annotated[str | None, typer.Option()] = None,
+    project: Annotated[
+        str | None, typer.Option(help="Whose members see it; needless with one project of your own.")
+    ] = None,
     label: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
     camera: Annotated[
         list[str] | None, typer.Option(help="`track` or one of the model's; several are shown side by side.")
@@ -103,7 +106,14 @@ def submit(  # noqa: PLR0913 # A command line's options.
     several = [_value(one) for one in seeds.split(",")] if seeds else None
     _put_given(
         spec,
-        {"seed": seed, "seeds": several, "name": name, "algorithm.num_timesteps": num_timesteps, **of_video},
+        {
+            "seed": seed,
+            "seeds": several,
+            "name": name,
+            "project": project,
+            "algorithm.num_timesteps": num_timesteps,
+            **of_video,
+        },
     )
     if label:
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}

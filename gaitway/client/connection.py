@@ -23,8 +23,12 @@ _PAGE = 100
 class Connection:
     """One connection pool to one service. Usable as a context manager."""
 
-    def __init__(self, base_url: str, timeout_s: float, retry: Retry, http: httpx.Client | None) -> None:
+    def __init__(
+        self, base_url: str, token: str | None, timeout_s: float, retry: Retry, http: httpx.Client | None
+    ) -> None:
         self._base_url, self._timeout_s, self._retry = base_url, timeout_s, retry
+        self._token = token
+        self._credentials = {} if token is None else {"Authorization": f"Bearer {token}"}
         self._http = http or httpx.Client(**http_options(base_url))
 
     def _request(
@@ -35,9 +39,10 @@ class Connection:
         file: Path | None = None,
         read_timeout_s: float | None = None,
         headers: Mapping[str, str] | None = None,
+        once: bool = False,
         **content: Any,
     ) -> httpx.Response:
-        """The whole answer. file: sent in pieces. read_timeout_s: by default the client's.
+        """The whole answer. file: sent in pieces. read_timeout_s: by default the client's. once: no retry.
 
         Temporary failures are retried. Raises ApiError, and Unreachable when no attempt got an answer.
         """
@@ -48,7 +53,11 @@ class Connection:
             try:
                 with reachable(self._base_url):
                     response = self._http.request(
-                        method, path, headers=headers, timeout=self._timeout(read_timeout_s), **content
+                        method,
+                        path,
+                        headers={**self._credentials, **(headers or {})},
+                        timeout=self._timeout(read_timeout_s),
+                        **content,
                     )
                 # A retried DELETE may find that the first one has worked although its answer was lost.
                 worked_before = method == "DELETE" and failures > 1 and response.status_code == 404
@@ -56,7 +65,7 @@ class Connection:
                     return response
                 raise problem_of(response)
             except (Unreachable, Unavailable) as error:
-                if failures == self._retry.attempts:
+                if once or failures == self._retry.attempts:
                     raise
                 sleep(self._retry.delay_s(failures, error))
         raise AssertionError("a Retry needs at least one attempt")
@@ -71,7 +80,7 @@ class Connection:
         read_timeout_s: float | None = None,
     ) -> Generator[httpx.Response]:
         """An answer whose body is read in pieces. Raises ApiError; and Unreachable, also while it is read."""
-        timeout = self._timeout(read_timeout_s)
+        timeout, headers = self._timeout(read_timeout_s), {**self._credentials, **(headers or {})}
         with reachable(self._base_url):
             with self._http.stream("GET", path, headers=headers, params=params, timeout=timeout) as response:
                 if is_refusal(response):

@@ -129,10 +129,14 @@ def api() -> Check:
     try:
         with Client(url, timeout_s=5, retry=Retry(attempts=1)) as client:
             client.health()
+            who = client.whoami()
+    except errors.Unauthenticated as error:
+        return Check("api", "fail", f"{url} is ready, but lets you do nothing: {error}", "Run `gaitway login`.")
     except errors.ApiError as error:
         return Check("api", "fail", f"{url} is not ready: {error}", "Run `gaitway doctor` where it runs.")
     except (errors.Unreachable, errors.WrongAddress) as error:
         return Check("api", "fail", str(error), remedy)
     except ValueError:
         return Check("api", "fail", f"The server at {url} is not a Gaitway service.", remedy)
-    return Check("api", "pass", f"{url} is ready")
+    told = f"you are {who.user}, a {who.role}" if who.accounts else "it has no accounts"
+    return Check("api", "pass", f"{url} is ready; {told}")

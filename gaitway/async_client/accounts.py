@@ -1,0 +1,87 @@
+"""Users, projects, tokens and the audit log of a service with accounts."""
+
+from collections.abc import AsyncIterator, Sequence
+
+from gaitway.addresses import path_of
+from gaitway.async_client.connection import AsyncConnection
+from gaitway.schema import AuditView, NewTokenView, ProjectView, TokenView, UserView, WhoView
+
+
+class AsyncAccounts(AsyncConnection):
+    """The methods about who may do what."""
+
+    async def whoami(self) -> WhoView:
+        """Whose token this client sends, and what it may do."""
+        return await self._get("/whoami", WhoView)
+
+    async def create_token(
+        self,
+        scope: str,
+        *,
+        name: str = "",
+        user: str | None = None,
+        expires_in_days: int | None = 90,
+    ) -> NewTokenView:
+        """Make a token of the scope `read`, `submit`, `admin` or `worker`; its `secret` is shown this once.
+
+        user: by default oneself; only an admin makes tokens for others. expires_in_days: None is never.
+        """
+        document = {"scope": scope, "name": name, "user": user, "expires_in_days": expires_in_days}
+        return await self._post("/tokens", NewTokenView, json=document, once=True)
+
+    async def tokens(self, user: str | None = None) -> Sequence[TokenView]:
+        """One's own tokens, an admin's call all, or those of a user; without their secrets."""
+        return await self._items("/tokens", TokenView, params={"user": user} if user else {})
+
+    async def revoke_token(self, token_id: str) -> None:
+        """Within two seconds nothing accepts it any more. Raises NotFound."""
+        await self._request("DELETE", path_of("tokens", token_id))
+
+    async def add_user(
+        self, name: str, role: str = "submitter", *, projects: Sequence[str] = ("default",)
+    ) -> UserView:
+        """Add a `viewer`, `submitter` or `admin`. Raises Conflict where the name is taken."""
+        return await self._post(
+            "/users", UserView, json={"name": name, "role": role, "projects": [*projects]}, once=True
+        )
+
+    async def users(self) -> Sequence[UserView]:
+        """All users, for an admin."""
+        return await self._items("/users", UserView)
+
+    async def change_user(
+        self, name: str, *, role: str | None = None, active: bool | None = None
+    ) -> UserView:
+        """Give a user another role, or disable or enable them. Raises NotFound, Conflict."""
+        answer = await self._request("PATCH", path_of("users", name), json={"role": role, "active": active})
+        return UserView.model_validate_json(answer.content)
+
+    async def projects(self) -> Sequence[ProjectView]:
+        """One's projects, with their members; an admin's call all."""
+        return await self._items("/projects", ProjectView)
+
+    async def add_project(self, name: str) -> ProjectView:
+        """Add a project. Raises Conflict where the name is taken."""
+        return await self._post("/projects", ProjectView, json={"name": name}, once=True)
+
+    async def change_members(
+        self, project: str, *, add: Sequence[str] = (), remove: Sequence[str] = ()
+    ) -> ProjectView:
+        """Let users enter a project, or leave it. Raises NotFound, and Rejected for an unknown user."""
+        document = {"add": [*add], "remove": [*remove]}
+        answer = await self._request("PATCH", path_of("projects", project), json=document)
+        return ProjectView.model_validate_json(answer.content)
+
+    def audit(
+        self,
+        *,
+        user: str | None = None,
+        action: str | None = None,
+        object: str | None = None,
+        limit: int | None = None,
+    ) -> AsyncIterator[AuditView]:
+        """What was done, the newest first, for an admin. action: its beginning; object: kind and id."""
+        filters = {"user": user, "action": action, "object": object}
+        return self._all(
+            "/audit", AuditView, limit, {name: value for name, value in filters.items() if value is not None}
+        )
