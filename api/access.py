@@ -4,7 +4,7 @@ A route with an id in its path also checks whose that is: what lies in other peo
 and only its owner or an admin changes it.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -17,7 +17,7 @@ from api.dependencies import Service, ServiceDep
 from api.problems import EdgeError
 from core.accounts.principal import ANYONE, SCOPE_FOR, Ownership, Principal, Role, TokenScope, project_for
 from core.accounts.store import Actor
-from core.errors import JobNotFound, ModelNotFound, NotFound, SweepNotFound
+from core.errors import JobNotFound, ModelNotFound, NotFound, SweepNotFound, Unavailable
 from core.jobs.store import Whose
 
 
@@ -66,6 +66,8 @@ ROUTES: Mapping[str, Access] = {
     "GET /environments/playground/{name}": _READ,
     "GET /algorithms": _READ,
     "GET /workers": _READ,
+    # It has the passwords of the stores.
+    "GET /workers/settings": Access(worker=True),
     "GET /slots": _READ,
     "POST /jobs": _submits("job.submitted"),
     "POST /jobs/import": _submits("job.imported"),
@@ -150,6 +152,30 @@ async def authorize(request: Request, service: ServiceDep) -> Principal:
     if access.action is not None:
         request.state.audited = (access.action, actor_of(principal, request))
     return principal
+
+
+async def while_allowed(
+    pieces: AsyncIterator[bytes], request: Request, service: Service
+) -> AsyncIterator[bytes]:
+    """The pieces of a stream, up to the first that the one who asked for it may not have any more."""
+    async for piece in pieces:
+        if service.authenticator is not None and not await _is_still_allowed(request, service):
+            return
+        yield piece
+
+
+async def _is_still_allowed(request: Request, service: Service) -> bool:
+    assert service.authenticator is not None  # noqa: S101
+    try:
+        principal = await service.authenticator.of_request(request)
+        check_role(_READ, principal)
+        if not principal.is_admin:
+            await _check_owner(_READ, principal, request, service)
+    except (EdgeError, NotFound):
+        return False
+    except Unavailable:  # An outage of the record ends no stream.
+        return True
+    return True
 
 
 PrincipalDep = Annotated[Principal, Depends(authorize)]

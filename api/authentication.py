@@ -106,13 +106,14 @@ class Authenticator:
         self._threads = CapacityLimiter(_THREADS)
 
     async def principal(self, request: Request) -> Principal:
-        """Raises Unauthenticated, TooManyRequests, RecordsUnavailable."""
-        principal = await self.of_secret(_secret(request))
+        """Who makes it, which counts. Raises Unauthenticated, TooManyRequests, RecordsUnavailable."""
+        principal = await self.of_request(request)
         self._limit.count(principal.token or "")
         return principal
 
-    async def of_secret(self, secret: Secret) -> Principal:
-        """Who holds the token. Raises Unauthenticated, RecordsUnavailable."""
+    async def of_request(self, request: Request) -> Principal:
+        """Who made it, as the record says now. Raises Unauthenticated, RecordsUnavailable."""
+        secret = _secret(request)
         sha256 = secret.sha256
         until, principal = self._known.get(sha256, (0.0, None))
         if principal is not None and monotonic() < until:

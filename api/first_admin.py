@@ -19,11 +19,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m api.first_admin", description=__doc__)
     parser.add_argument("--name", default=name_here(), help="of the user; default: %(default)s")
     parser.add_argument("--file", type=Path, help="where the token goes; by default to stdout")
+    parser.add_argument("--anyway", action="store_true", help="although there is an admin")
     chosen = parser.parse_args(arguments)
     try:
-        secret = first_admin(job_store(read(StoreSettings), pool_size=0), chosen.name)
+        secret = first_admin(job_store(read(StoreSettings), pool_size=0), chosen.name, anyway=chosen.anyway)
         if secret is None:
-            raise ValueError("There is an admin already: that user makes others, by `gaitway users add`.")
+            raise ValueError(
+                "There is an admin already, who makes others by `gaitway users add`; --anyway makes one more."
+            )
         if chosen.file is None:
             sys.stdout.write(f"{secret.text}\n")
         else:
@@ -32,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"{error}\n")
         return 1
     where = "" if chosen.file is None else f" Its token is in {chosen.file}: `gaitway login < {chosen.file}`."
-    sys.stderr.write(f"The first admin is {chosen.name}.{where}\n")
+    sys.stderr.write(f"{chosen.name} is an admin.{where}\n")
     return 0
 
 

@@ -94,6 +94,15 @@ Confinement = Literal["confined", "unconfined"]
 Lease = Annotated[Seconds, Field(description="How long a silent worker keeps its job.")]
 
 
+WorkerDatabase = Annotated[
+    DatabaseAddress | None,
+    Field(
+        description="GAITWAY_DATABASE_URL for workers that join by a token, as other machines reach it, with "
+        "a user of its own: the reconciler gives that user rights on the tables of jobs alone."
+    ),
+]
+
+
 class StoreSettings(BaseSettings):
     """Read from the environment: `GAITWAY_` and the name in capitals; an empty variable counts as unset.
 
@@ -194,6 +203,17 @@ class ApiSettings(StoreSettings):
         gt=0,
         description="How many requests a second one token may make in each process, on average over ten "
         "seconds; further ones are answered 429, with the time to wait.",
+    )
+    worker_database_url: WorkerDatabase = None
+    worker_redis_url: RedisAddress | None = Field(
+        None,
+        description="GAITWAY_REDIS_URL as workers on other machines reach it, for `GET /workers/settings`; "
+        "by default the same.",
+    )
+    worker_s3_endpoint: Address | None = Field(
+        None,
+        description="GAITWAY_S3_ENDPOINT as workers on other machines reach it, for `GET /workers/settings`; "
+        "by default the same.",
     )
     allowed_hosts: str = Field(
         "",
@@ -307,6 +327,7 @@ class ReconcilerSettings(StoreSettings):
     """The settings of `python -m worker.reconciler`."""
 
     alive_file: AliveFile = None
+    worker_database_url: WorkerDatabase = None
     lease: Lease = timedelta(seconds=14)
     reconcile_every: Seconds = Field(timedelta(seconds=1), description="Time between two checks of all jobs.")
 

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from pathlib import Path
+from typing import Any, cast
 
 from gaitway.errors import UnsafeFile
 
@@ -24,17 +25,18 @@ def stored() -> dict[str, str]:
     """The stored tokens by address. Raises UnsafeFile where others can read them."""
     try:
         path = file()
+    except RuntimeError:  # This user has no home.
+        return {}
+    try:
         with path.open() as opened:
             if os.name == "posix" and os.fstat(opened.fileno()).st_mode & _OF_OTHERS:
                 raise UnsafeFile(f"Others can read {path}, which has tokens: `chmod 600 {path}`.")
-            found = json.load(opened)
+            found: Any = json.load(opened)
     except FileNotFoundError:
-        return {}
-    except RuntimeError:  # This user has no home.
         return {}
     except ValueError:
         raise UnsafeFile(f"{path} is damaged: remove it, and log in again.") from None
-    return {str(url): str(token) for url, token in found.items()} if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    return cast("dict[str, str]", found) if isinstance(found, dict) else {}
 
 
 def store(url: str, token: str) -> Path:

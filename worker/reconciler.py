@@ -14,7 +14,7 @@ from functools import partial
 
 import structlog
 
-from core.adapters.startup import check_stores, prepare_database
+from core.adapters.startup import check_stores, prepare_database, prepare_workers
 from core.adapters.wiring import job_queue, job_store, object_store
 from core.configuration import configure_logging, read, stopping_if_misconfigured
 from core.errors import Unavailable
@@ -109,6 +109,7 @@ def main() -> None:
     configure_logging("reconciler")
     settings = read(ReconcilerSettings)
     prepare_database(settings)
+    prepare_workers(settings)
     check_stores(settings)
     urgent, *others = chores(settings)
     pause_s = settings.reconcile_every.total_seconds()

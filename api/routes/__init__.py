@@ -6,6 +6,7 @@ from api.routes import (
     files,
     health,
     jobs,
+    joining,
     metrics,
     models,
     page,
@@ -28,6 +29,7 @@ ROUTERS = (
     previews.router,  # Before the catalog's, whose ids may have slashes.
     catalog.router,
     accounts.router,
+    joining.router,
     health.router,
     page.router,
 )

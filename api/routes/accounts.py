@@ -46,7 +46,7 @@ async def _accounts_on(service: ServiceDep) -> None:
         raise AccountsOff("This service has no accounts; docs/teams.md says how to turn them on.")
 
 
-_ON = [Depends(_accounts_on)]
+ACCOUNTS_ON = [Depends(_accounts_on)]
 _REFUSED = (AccountsOff, MalformedBody, UnsupportedMediaType, Rejected, RecordsUnavailable)
 
 
@@ -120,7 +120,9 @@ class TokenFilters(QueryParameters):
     user: AccountName | None = None
 
 
-@router.get("/tokens", dependencies=_ON, responses=refusals(AccountsOff, Rejected, RecordsUnavailable))
+@router.get(
+    "/tokens", dependencies=ACCOUNTS_ON, responses=refusals(AccountsOff, Rejected, RecordsUnavailable)
+)
 def list_tokens(
     listed: Annotated[TokenFilters, Query()], service: ServiceDep, principal: PrincipalDep
 ) -> Listing[TokenView]:
@@ -133,7 +135,7 @@ def list_tokens(
 @router.post(
     "/tokens",
     status_code=201,
-    dependencies=_ON,
+    dependencies=ACCOUNTS_ON,
     openapi_extra=_body(_NEW_TOKEN),
     responses=refusals(*_REFUSED, UserNotFound, Forbidden),
 )
@@ -181,7 +183,7 @@ def _check_no_more(wanted: NewToken, principal: Principal) -> None:
 @router.delete(
     "/tokens/{token_id}",
     status_code=204,
-    dependencies=_ON,
+    dependencies=ACCOUNTS_ON,
     responses=refusals(AccountsOff, TokenNotFound, RecordsUnavailable),
 )
 def revoke_token(
@@ -195,7 +197,7 @@ def revoke_token(
     service.store.revoke_token(token_id, actor_of(principal, request), user=user)
 
 
-@router.get("/users", dependencies=_ON, responses=refusals(AccountsOff, RecordsUnavailable))
+@router.get("/users", dependencies=ACCOUNTS_ON, responses=refusals(AccountsOff, RecordsUnavailable))
 def list_users(service: ServiceDep) -> Listing[UserView]:
     """All users, by name."""
     return Listing[UserView](items=[UserView.model_validate(user) for user in service.store.users()])
@@ -204,7 +206,7 @@ def list_users(service: ServiceDep) -> Listing[UserView]:
 @router.post(
     "/users",
     status_code=201,
-    dependencies=_ON,
+    dependencies=ACCOUNTS_ON,
     openapi_extra=_body(_NEW_USER),
     responses=refusals(*_REFUSED, UserExists, ProjectNotFound),
 )
@@ -225,7 +227,7 @@ def add_user(body: JsonBody, request: Request, service: ServiceDep, principal: P
 
 @router.patch(
     "/users/{name}",
-    dependencies=_ON,
+    dependencies=ACCOUNTS_ON,
     openapi_extra=_body(_USER_CHANGE),
     responses=refusals(*_REFUSED, UserNotFound, LastAdmin),
 )
@@ -253,7 +255,7 @@ def list_projects(service: ServiceDep, principal: PrincipalDep) -> Listing[Proje
 @router.post(
     "/projects",
     status_code=201,
-    dependencies=_ON,
+    dependencies=ACCOUNTS_ON,
     openapi_extra=_body(_NEW_PROJECT),
     responses=refusals(*_REFUSED, ProjectExists),
 )
@@ -268,7 +270,7 @@ def add_project(
 
 @router.patch(
     "/projects/{name}",
-    dependencies=_ON,
+    dependencies=ACCOUNTS_ON,
     openapi_extra=_body(_MEMBERS),
     responses=refusals(*_REFUSED, ProjectNotFound),
 )
@@ -304,7 +306,7 @@ class AuditFilters(QueryParameters):
     limit: int = Field(50, ge=1, le=200)
 
 
-@router.get("/audit", dependencies=_ON, responses=refusals(AccountsOff, Rejected, RecordsUnavailable))
+@router.get("/audit", dependencies=ACCOUNTS_ON, responses=refusals(AccountsOff, Rejected, RecordsUnavailable))
 def read_audit(listed: Annotated[AuditFilters, Query()], service: ServiceDep) -> Listing[AuditView]:
     """What was done, by whom and from where, the newest first. Nobody can change or remove an entry."""
     page = service.store.audit(**listed.model_dump())

@@ -4,10 +4,11 @@ from collections.abc import AsyncIterator
 from typing import Annotated, Literal
 
 from anyio import to_thread
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import Field
 from starlette.responses import StreamingResponse
 
+from api.access import while_allowed
 from api.dependencies import EntryId, JobId, QueryParameters, ServiceDep
 from api.problems import refusals
 from api.streams import HEADERS, MEDIA_TYPE, Follower, event_stream, look
@@ -49,6 +50,7 @@ async def follow_events(
     job_id: JobId,
     asked: Annotated[After, Query()],
     service: ServiceDep,
+    request: Request,
     last_event_id: Annotated[EntryId, Header(alias="Last-Event-ID")] = "",
 ) -> Response:
     """A job's events as server-sent events until it ends; with `Last-Event-ID`, only those after that one."""
@@ -57,7 +59,8 @@ async def follow_events(
     if after and job.status.is_final and not has_more:
         return Response(status_code=204)
     stream = event_stream(Follower(service, job, "events", after), asked.kind, follow=asked.follow)
-    return StreamingResponse(stream, headers=HEADERS, media_type=MEDIA_TYPE)
+    pieces = while_allowed(stream, request, service)
+    return StreamingResponse(pieces, headers=HEADERS, media_type=MEDIA_TYPE)
 
 
 class LogQuery(QueryParameters):
@@ -74,11 +77,14 @@ class LogQuery(QueryParameters):
         **refusals(JobNotFound, Rejected, RecordsUnavailable, StorageUnavailable),
     },
 )
-async def read_logs(job_id: JobId, asked: Annotated[LogQuery, Query()], service: ServiceDep) -> Response:
+async def read_logs(
+    job_id: JobId, asked: Annotated[LogQuery, Query()], service: ServiceDep, request: Request
+) -> Response:
     """The log of all attempts so far; with `follow=true` also new lines until the job ends."""
     job, _ = await to_thread.run_sync(look, service, job_id, "logs")
     stream = _text(Follower(service, job, "logs", 0), follow=asked.follow)
-    return StreamingResponse(stream, headers=_HEADERS, media_type="text/plain; charset=utf-8")
+    pieces = while_allowed(stream, request, service)
+    return StreamingResponse(pieces, headers=_HEADERS, media_type="text/plain; charset=utf-8")
 
 
 async def _text(follower: Follower, *, follow: bool) -> AsyncIterator[bytes]:

@@ -11,6 +11,7 @@ from redis import Redis
 
 from core.adapters.postgres import schema
 from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.worker_role import prepare_worker_role
 from core.adapters.redis.errors import reaching_redis
 from core.adapters.s3.objects import S3ObjectStore
 from core.adapters.wiring import connect_redis, job_store, object_store
@@ -23,7 +24,7 @@ from core.errors import (
     Unavailable,
 )
 from core.retry import retry_while_unavailable
-from core.settings import StoreSettings
+from core.settings import ReconcilerSettings, StoreSettings
 
 log = structlog.get_logger()
 
@@ -68,6 +69,13 @@ def prepare_database(settings: StoreSettings) -> None:
         _try(partial(schema.upgrade, engine), math.inf)
     except RecordsRefuse as error:
         raise Misconfigured(error.detail) from error
+
+
+def prepare_workers(settings: ReconcilerSettings) -> None:
+    """Give the workers' role its rights, where the settings name one. Raises Misconfigured."""
+    if settings.worker_database_url is not None:
+        engine = connect_postgres(settings.database_url.get_secret_value(), pool_size=0)
+        _try(partial(prepare_worker_role, engine, settings.worker_database_url.get_secret_value()), math.inf)
 
 
 def _try(look: Callable[[], None], timeout_s: float) -> None:

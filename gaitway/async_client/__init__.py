@@ -24,7 +24,8 @@ class AsyncClient(AsyncFiles, AsyncSweeps, AsyncAccounts):
     `logs` are read with `async for`.
     base_url: by default that of GAITWAY_URL, otherwise http://127.0.0.1:8000. token: for a service with
     accounts; by default that of GAITWAY_TOKEN, or the one that `gaitway login` has stored for this address.
-    http: an httpx client. Every method raises ApiError for a refusal (NotFound, Conflict, Rejected, Unavailable), and
+    http: an httpx client.
+    Every method raises ApiError for a refusal (NotFound, Conflict, Rejected, Unavailable), and
     Unreachable when nothing answers. Temporary failures are retried first; a retry never has an
     effect twice, not even that of `submit`. An address without http:// is a WrongAddress.
     """

@@ -4,7 +4,15 @@ from collections.abc import AsyncIterator, Sequence
 
 from gaitway.addresses import path_of
 from gaitway.async_client.connection import AsyncConnection
-from gaitway.schema import AuditView, NewTokenView, ProjectView, TokenView, UserView, WhoView
+from gaitway.schema import (
+    AuditView,
+    NewTokenView,
+    ProjectView,
+    TokenView,
+    UserView,
+    WhoView,
+    WorkerSettingsView,
+)
 
 
 class AsyncAccounts(AsyncConnection):
@@ -71,6 +79,10 @@ class AsyncAccounts(AsyncConnection):
         document = {"add": [*add], "remove": [*remove]}
         answer = await self._request("PATCH", path_of("projects", project), json=document)
         return ProjectView.model_validate_json(answer.content)
+
+    async def worker_settings(self) -> WorkerSettingsView:
+        """What a worker on another machine needs to join; for a token of the scope `worker` alone."""
+        return await self._get("/workers/settings", WorkerSettingsView)
 
     def audit(
         self,

@@ -34,8 +34,9 @@ class AsyncCatalog(AsyncConnection):
         """Send a model (MJCF, URDF, or a zip of it and its meshes), and wait until it is validated.
 
         The same file is the same model; the name is the last one that it was sent by. name: by default the
-        file's. main: the document of a zip that is the model, where it has several. project: whose members may use it. Raises Rejected where it
-        cannot be used, and WaitTimeout after `timeout` seconds without a worker that validates it.
+        file's. main: the document of a zip that is the model, where it has several. project: whose members
+        may use it. Raises Rejected where it cannot be used, and WaitTimeout after `timeout` seconds without a
+        worker that validates it.
         """
         file = Path(path)
         body = file.read_bytes()
@@ -43,7 +44,11 @@ class AsyncCatalog(AsyncConnection):
         headers = {"Content-Type": "application/zip" if body.startswith(b"PK") else "application/xml"}
         if name is None:  # The service takes no control characters, and only so many others.
             name = "".join(sign for sign in file.name if sign.isprintable())[:_LONGEST_NAME] or None
-        params = {key: value for key, value in (("name", name), ("main", main), ("project", project)) if value is not None}
+        params = {
+            key: value
+            for key, value in (("name", name), ("main", main), ("project", project))
+            if value is not None
+        }
         model = await self._post("/models", ModelView, content=body, headers=headers, params=params)
         while model.status == "validating":
             if time.monotonic() > deadline:

@@ -52,7 +52,11 @@ class AsyncConnection:
             try:
                 with reachable(self._base_url):
                     response = await self._http.request(
-                        method, path, headers={**self._credentials, **(headers or {})}, timeout=self._timeout(read_timeout_s), **content
+                        method,
+                        path,
+                        headers={**self._credentials, **(headers or {})},
+                        timeout=self._timeout(read_timeout_s),
+                        **content,
                     )
                 # A retried DELETE may find that the first one has worked although its answer was lost.
                 worked_before = method == "DELETE" and failures > 1 and response.status_code == 404

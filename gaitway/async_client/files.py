@@ -255,7 +255,8 @@ class AsyncFiles(AsyncJobs, AsyncCatalog, AsyncDownloads):
         """Make an ended job of an export, from this service or another: others can resume from it.
 
         The user's own model in it is sent first. Retries of the request create only one job; idempotency_key
-        extends this to several calls. project: whose members see it. timeout: seconds for the service to store it. Raises Rejected where the
+        extends this to several calls. project: whose members see it.
+        timeout: seconds for the service to store it. Raises Rejected where the
         file is no whole export, or the service cannot have such a job (docs/sharing.md).
         """
         file = Path(path)

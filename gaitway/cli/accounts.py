@@ -1,4 +1,4 @@
-"""`gaitway login`, `logout`, `whoami`; and `users`, `projects`, `tokens`, `audit` where there are accounts."""
+"""`gaitway login`, `logout`, `whoami`, `users`, `projects`, `tokens` and `audit`: a service with accounts."""
 
 import getpass
 import sys
@@ -16,10 +16,9 @@ from gaitway.cli.terminal import Console
 from gaitway.client import Client
 from gaitway.schema import AuditView, ProjectView, TokenView, UserView, WhoView
 
-_GROUP = {"no_args_is_help": True}
-users = typer.Typer(help="Users, for an admin.", **_GROUP)
-projects = typer.Typer(help="Projects, and who sees what is in them.", **_GROUP)
-tokens = typer.Typer(help="API tokens: your own, and for an admin all.", **_GROUP)
+users = typer.Typer(help="Users, for an admin.", no_args_is_help=True)
+projects = typer.Typer(help="Projects, and who sees what is in them.", no_args_is_help=True)
+tokens = typer.Typer(help="API tokens: your own, and for an admin all.", no_args_is_help=True)
 Server = Annotated[
     str | None,
     typer.Option("--server", metavar="URL", help="By default that of --url, GAITWAY_URL, or here."),

@@ -26,7 +26,18 @@ from gaitway.schema import JobView
 # The fields of a job; every other name in `--set` is an option of its environment.
 JOB_FIELDS = frozenset(
     {
-        *("kind", "name", "project", "labels", "environment", "physics", "randomization", "seed", "seeds", "video"),
+        *(
+            "kind",
+            "name",
+            "project",
+            "labels",
+            "environment",
+            "physics",
+            "randomization",
+            "seed",
+            "seeds",
+            "video",
+        ),
         *(
             "resources",
             "priority",

@@ -5,7 +5,15 @@ from collections.abc import Iterator, Sequence
 
 from gaitway.addresses import path_of
 from gaitway.client.connection import Connection
-from gaitway.schema import AuditView, NewTokenView, ProjectView, TokenView, UserView, WhoView
+from gaitway.schema import (
+    AuditView,
+    NewTokenView,
+    ProjectView,
+    TokenView,
+    UserView,
+    WhoView,
+    WorkerSettingsView,
+)
 
 
 class Accounts(Connection):
@@ -70,6 +78,10 @@ class Accounts(Connection):
         document = {"add": [*add], "remove": [*remove]}
         answer = self._request("PATCH", path_of("projects", project), json=document)
         return ProjectView.model_validate_json(answer.content)
+
+    def worker_settings(self) -> WorkerSettingsView:
+        """What a worker on another machine needs to join; for a token of the scope `worker` alone."""
+        return self._get("/workers/settings", WorkerSettingsView)
 
     def audit(
         self,

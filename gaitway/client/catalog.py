@@ -35,8 +35,9 @@ class Catalog(Connection):
         """Send a model (MJCF, URDF, or a zip of it and its meshes), and wait until it is validated.
 
         The same file is the same model; the name is the last one that it was sent by. name: by default the
-        file's. main: the document of a zip that is the model, where it has several. project: whose members may use it. Raises Rejected where it
-        cannot be used, and WaitTimeout after `timeout` seconds without a worker that validates it.
+        file's. main: the document of a zip that is the model, where it has several. project: whose members
+        may use it. Raises Rejected where it cannot be used, and WaitTimeout after `timeout` seconds without a
+        worker that validates it.
         """
         file = Path(path)
         body = file.read_bytes()

@@ -4,7 +4,15 @@ The service writes every member. A client reads without those that have a defaul
 that it does not know, so that it works with an older and with a newer service.
 """
 
-from gaitway.schema.accounts import AuditView, NewTokenView, ProjectView, TokenView, UserView, WhoView
+from gaitway.schema.accounts import (
+    AuditView,
+    NewTokenView,
+    ProjectView,
+    TokenView,
+    UserView,
+    WhoView,
+    WorkerSettingsView,
+)
 from gaitway.schema.base import FINAL_STATUSES, View
 from gaitway.schema.catalog import (
     EnvironmentDetails,
@@ -56,5 +64,6 @@ __all__ = [
     "UserView",
     "View",
     "WhoView",
+    "WorkerSettingsView",
     "WorkerView",
 ]

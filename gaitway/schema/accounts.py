@@ -62,6 +62,13 @@ class NewTokenView(TokenView):
     secret: str = Field(examples=["gaitway_5be0c1d2e3f4_…"])
 
 
+class WorkerSettingsView(View):
+    """What a worker elsewhere needs. variables: of its environment; tls_ca: PEM of the stores' authority."""
+
+    variables: Mapping[str, str]
+    tls_ca: str | None = None
+
+
 class AuditView(View):
     """Something that was done. object: the kind and id of the thing; address: of the client."""
 

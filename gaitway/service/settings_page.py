@@ -51,6 +51,12 @@ OTHERS = (
         "GAITWAY_URL", "`gaitway`, `gaitway.Client`", "`http://127.0.0.1:8000`", "Address of the API."
     ),
     OtherVariable(
+        "GAITWAY_TOKEN",
+        "`gaitway`, `gaitway.Client`",
+        "what `gaitway login` has stored",
+        "The token for an API with accounts.",
+    ),
+    OtherVariable(
         "GAITWAY_ADDRESS",
         "Docker Compose",
         "`127.0.0.1`",

@@ -6,15 +6,18 @@ from itertools import product
 
 import pytest
 from fastapi import APIRouter, FastAPI
+from pydantic import SecretStr, ValidationError
 
 from api import access, authentication
 from api.access import names, undeclared
 from api.app import interface
+from api.main import check_exposure
 from api.routes import ROUTERS
 from core.accounts.principal import Role, TokenScope
 from core.errors import Misconfigured
+from core.settings import WorkerSettings
 from tests.api.accounts import NOBODY, USERS, Lab, opened
-from tests.api.conftest import Stack
+from tests.api.conftest import Attempt, Stack, job
 from tests.api.problems import problem
 
 # What each route needs, said again: a GET reads and everything else submits, but for these.
@@ -22,6 +25,7 @@ OPEN = {"GET /", "GET /docs", "GET /pages/{version}/{path:path}", "GET /problems
 OPEN |= {"GET /healthz", "GET /readyz"}
 FOR_ADMINS = {"GET /users", "POST /users", "PATCH /users/{name}", "GET /audit"}
 FOR_ADMINS |= {"POST /projects", "PATCH /projects/{name}"}
+FOR_WORKERS = "GET /workers/settings"
 FOR_VIEWERS = {"POST /tokens", "DELETE /tokens/{token_id}"}
 ALL = sorted(name for router in ROUTERS for route in router.routes for name in names(route))
 VALUES = {
@@ -71,6 +75,8 @@ def test_every_route_admits_who_has_role_and_scope(lab: Lab, user: str) -> None:
         wanted = needed(route)
         reached = [] if scope is TokenScope.WORKER else [*Role][: [*TokenScope].index(scope) + 1]
         may = wanted is None or (wanted in reached and role.rank >= wanted.rank)
+        if route == FOR_WORKERS:
+            may = scope is TokenScope.WORKER
         answer = lab.of(user, scope).request(*address(route))
         assert (answer.status_code != 403) == may, (route, user, scope, answer.text)
         assert answer.status_code != 401, route
@@ -178,3 +184,54 @@ def test_an_expired_token_says_when(lab: Lab) -> None:
         document = problem(client.get("/jobs"), 401, "unauthenticated")
     assert document["reason"] == "expired"
     assert "UTC" in document["detail"]
+
+
+def test_a_worker_gets_the_stores_as_it_reaches_them_and_nothing_of_this_machine(lab: Lab) -> None:
+    worker = lab.of("root", TokenScope.WORKER)
+    document = problem(worker.get("/workers/settings"), 409, "stores-out-of-reach")
+    assert "GAITWAY_WORKER_DATABASE_URL" in document["detail"]
+    named = {
+        "worker_database_url": SecretStr("postgresql://worker:word@db.lab/gaitway"),
+        "worker_redis_url": SecretStr("rediss://:word@redis.lab/0"),
+    }
+    lab.service.settings = lab.service.settings.model_copy(update=named)
+    lab.service.settings = lab.service.settings.model_copy(update={"s3_endpoint": "127.0.0.1:9000"})
+    document = problem(worker.get("/workers/settings"), 409, "stores-out-of-reach")
+    assert "127.0.0.1" in document["detail"]
+    assert "GAITWAY_WORKER_S3_ENDPOINT" in document["detail"]
+    lab.service.settings = lab.service.settings.model_copy(update={"worker_s3_endpoint": "s3.lab:9000"})
+    variables = worker.get("/workers/settings").json()["variables"]
+    assert variables["GAITWAY_DATABASE_URL"] == "postgresql://worker:word@db.lab/gaitway"
+    assert variables["GAITWAY_S3_ENDPOINT"] == "s3.lab:9000"
+    with pytest.raises(ValidationError):  # They are settings of a worker, but for its folder.
+        WorkerSettings.model_validate(
+            {name.removeprefix("GAITWAY_").lower(): value for name, value in variables.items()}
+        )
+
+
+def test_nobody_gets_the_stores_of_a_service_without_accounts(stack: Stack) -> None:
+    problem(stack.http.get("/workers/settings"), 409, "accounts-off")
+
+
+def test_a_stream_ends_when_its_token_is_revoked(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(authentication, "CACHED_S", 0.0)
+    attempt = Attempt(lab.stack, lab.stack.store.add(job().model_copy(update={"project": "a"})), is_new=False)
+    secret = lab.token("ann")
+    with lab.with_token(secret.text) as client, client.stream("GET", f"/jobs/{attempt.id}/events") as stream:
+        pieces = stream.iter_text()
+        assert "retry" in next(pieces)
+        lab.stack.store.revoke_token(secret.id, NOBODY)
+        attempt.say("note", text="for members alone")
+        assert "for members alone" not in "".join(pieces)  # It ends, although the job runs.
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "::1", "localhost", "127.0.0.2"])
+def test_without_accounts_it_listens_on_this_machine(address: str) -> None:
+    check_exposure(address, has_accounts=False)
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0", "::", "10.0.0.5", "gaitway.lab"])  # noqa: S104
+def test_beyond_this_machine_it_needs_accounts(address: str) -> None:
+    with pytest.raises(Misconfigured, match=r"GAITWAY_ACCOUNTS=true.*ssh -L"):
+        check_exposure(address, has_accounts=False)
+    check_exposure(address, has_accounts=True)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from gaitway.cli.common import wrong_usage
+from gaitway.credentials import VARIABLE
 from gaitway.service.installed import data_folder, use_code
 
 
@@ -53,10 +54,40 @@ def api(context: typer.Context) -> None:
     _become("api", context.args)
 
 
-def worker(context: typer.Context) -> None:
-    """Run a worker; settings come from GAITWAY_…"""
+def worker(
+    context: typer.Context,
+    server: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL", help="Ask this service for them, by the `worker` token in GAITWAY_TOKEN."
+        ),
+    ] = None,
+) -> None:
+    """Run a worker; settings come from GAITWAY_… or, with --server, from a service."""
     require("worker", "rq", "redis", "minio", "jax", "mujoco")
+    if server is not None:
+        _ask_for_settings(server)
     _become("worker.main", context.args)
+
+
+def _ask_for_settings(server: str) -> None:
+    """Put what the service says into the environment; what is there already stays. The token leaves it."""
+    from gaitway.client import Client
+    from gaitway.local import user_data_folder
+
+    if not os.environ.get(VARIABLE):
+        raise wrong_usage(f"Put a token of the scope `worker` into {VARIABLE}; an admin makes one.")
+    with Client(server) as client:
+        settings = client.worker_settings()
+    del os.environ[VARIABLE]  # Nothing that this starts needs it.
+    folder = Path(os.environ.setdefault("GAITWAY_DATA_DIR", str(user_data_folder() / "worker")))
+    folder.mkdir(parents=True, exist_ok=True)
+    if settings.tls_ca is not None and "GAITWAY_TLS_CA" not in os.environ:
+        authority = folder / "ca.pem"
+        authority.write_text(settings.tls_ca)
+        os.environ["GAITWAY_TLS_CA"] = str(authority)
+    for name, value in settings.variables.items():
+        os.environ.setdefault(name, value)
 
 
 def require(extra: str, *modules: str) -> None:

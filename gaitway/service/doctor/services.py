@@ -131,7 +131,9 @@ def api() -> Check:
             client.health()
             who = client.whoami()
     except errors.Unauthenticated as error:
-        return Check("api", "fail", f"{url} is ready, but lets you do nothing: {error}", "Run `gaitway login`.")
+        return Check(
+            "api", "fail", f"{url} is ready, but lets you do nothing: {error}", "Run `gaitway login`."
+        )
     except errors.ApiError as error:
         return Check("api", "fail", f"{url} is not ready: {error}", "Run `gaitway doctor` where it runs.")
     except (errors.Unreachable, errors.WrongAddress) as error:

@@ -398,6 +398,7 @@ _FORMS: dict[str, Forms] = {
     "GET /projects": _get("/projects"),
     "POST /projects": _of_accounts("POST", "/projects", name="p" * 63),
     "PATCH /projects/{name}": _of_accounts("PATCH", "/projects/p", add=_MEMBERS, remove=_MEMBERS),
+    "GET /workers/settings": _of_accounts("GET", "/workers/settings"),
     "GET /users": _of_accounts("GET", "/users"),
     "POST /users": _of_accounts("POST", "/users", name="u" * 63, projects=_MEMBERS[:100]),
     "PATCH /users/{name}": _of_accounts("PATCH", "/users/u", role="viewer", active=False),
