@@ -159,6 +159,8 @@ class GaitwayWorker(rq.Worker):
         except _OUTAGES as error:
             self.set_state(rq.worker.WorkerStatus.IDLE)
             self._wait_for_queue(error)
+        finally:
+            self._had_job_at = time.monotonic()
 
     def handle_job_failure(self, *args: Any, **kwargs: Any) -> None:
         """RQ forgets the execution before Redis has: a second try would leave the message as started."""
@@ -220,7 +222,6 @@ class GaitwayWorker(rq.Worker):
         if self._stop_requested:
             return
         if self.get_state() == rq.worker.WorkerStatus.BUSY:
-            self._had_job_at = time.monotonic()
             self._stop_requested = self._time_left.is_over()
             if self._stop_requested:
                 log.info("worker_drains", detail="Its machine is taken away soon.")

@@ -1,12 +1,12 @@
 """What is wrong with the options of a site, before anything is started: asked of Slurm itself."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from core.jobs.slots import SlotKind
 from worker.cluster.options import GpuPart, Part, SlurmOptions, seconds_of
-from worker.cluster.slurm import ask, name_of, sentence
+from worker.cluster.slurm import Script, ask, name_of, sentence
 
 _FORMAT = "%P|%a|%D|%G|%c|%m|%l"
 
@@ -31,21 +31,24 @@ def groups() -> list[NodeGroup]:
     return [_group(line) for line in answer.stdout.splitlines() if line.count("|") == 6]
 
 
-def problems(options: SlurmOptions, script: Callable[[SlotKind, str, Sequence[str]], str]) -> list[str]:
+def problems(options: SlurmOptions, script: Script) -> list[str]:
     """A sentence for each thing that cannot work, with its place in the options. Raises as `groups`."""
     found, seen = list[str](), groups()
     for kind in options.kinds:
         wrong = what_is_wrong(kind, options.part(kind), seen)
         if wrong is None:
-            # Account, QoS and the limits of the site are known to Slurm alone.
-            asked = ask(("sbatch", "--test-only"), script(kind, "gaitway-test", ()))
-            if asked.returncode != 0:
-                wrong = (
-                    f"/{kind.accelerator}: Slurm refuses a job for {name_of(kind)}: {sentence(asked.stderr)}"
-                )
+            wrong = refusal(kind, script)
         if wrong is not None:
             found.append(wrong)
     return found
+
+
+def refusal(kind: SlotKind, script: Script) -> str | None:
+    """A sentence if Slurm would refuse it: account, QoS and the limits of the site are known to it alone."""
+    asked = ask(("sbatch", "--test-only"), script(kind, "gaitway-test", ()))
+    if asked.returncode == 0:
+        return None
+    return f"/{kind.accelerator}: Slurm refuses a job for {name_of(kind)}: {sentence(asked.stderr)}"
 
 
 def what_is_wrong(kind: SlotKind, part: Part, seen: Sequence[NodeGroup]) -> str | None:
@@ -70,6 +73,8 @@ def what_is_wrong(kind: SlotKind, part: Part, seen: Sequence[NodeGroup]) -> str 
     number = kind.gpus if isinstance(part, GpuPart) else 1
     if part.cpus * number > (most := max(one.cpus for one in here)):
         return f"{at}/cpus: {part.cpus * number} cores are wanted; a node of partition {name} has {most}."
+    if part.mem_mib * number > (most := max(one.memory_mib for one in here)):
+        return f"{at}/mem: {part.mem_mib * number} MiB are wanted; a node of partition {name} has {most}."
     limits = [one.limit_s for one in here]
     if part.time_s is not None and None not in limits and part.time_s > max(one or 0 for one in limits):
         return f"{at}/time: {part.time} is more than partition {name} allows."

@@ -16,7 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -204,7 +204,7 @@ class Loop:
 
 def shown(options: SlurmOptions, data: Path, folder: Path) -> str:
     """The batch script of each kind, as it would be sent. Raises Misconfigured."""
-    current = _Current(options, data, folder.absolute())
+    current = Site(options, data, folder.absolute())
     return "\n".join(current.script(kind, f"gaitway-{name_of(kind)}", ()) for kind in options.kinds)
 
 
@@ -242,7 +242,7 @@ def serve(options: SlurmOptions, data: Path, folder: Path, say: Say) -> None:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, lambda number, _: told.append(number))
     with own_folder(folder) as token:
-        current = _Current(options, data, folder)
+        current = Site(options, data, folder)
         launcher = Slurm(token, options.kinds, current.script, folder / "logs")
         try:
             if wrong := problems(options, current.script):
@@ -263,11 +263,14 @@ def serve(options: SlurmOptions, data: Path, folder: Path, say: Say) -> None:
         say("Ended. Running workers go on, and end when they have had no job for a while.")
 
 
-class _Current:
-    """The stores as they are now: `gaitway up` may have been started again with others."""
+class Site:
+    """The options, and the stores as they are now: `gaitway up` may have been started again with others.
+
+    Raises Misconfigured.
+    """
 
     def __init__(self, options: SlurmOptions, data: Path, folder: Path) -> None:
-        self._options, self._data, self._folder = options, data, folder
+        self._options, self._data, self._folder = options, data, folder.absolute()
         self._variables: dict[str, str] = {}
         self._store: JobStore | None = None
         self.options = options
@@ -283,8 +286,10 @@ class _Current:
             raise Unavailable("There is no record.")
         return self._store
 
-    def script(self, kind: SlotKind, name: str, exclude: Sequence[str]) -> str:
-        return script_of(kind, name, self.options, self._place, exclude)
+    def script(self, kind: SlotKind, name: str, exclude: Sequence[str], module: str = "worker.main") -> str:
+        """The batch script of a worker. module: what runs on the node in its place, by the same way."""
+        swapped = replace(self._place, command=self._place.command.replace("worker.main", module))
+        return script_of(kind, name, self.options, swapped, exclude)
 
     def _look(self) -> None:
         settings = stores_here(self._data)

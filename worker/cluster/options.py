@@ -36,9 +36,15 @@ class Part(Strict):
     constraint: Word | None = None
     time: Duration | None = Field(None, description="Time limit; by default the partition's own.")
     cpus: int = Field(8, ge=1, le=1024, description="CPU cores.")
-    mem: Memory | None = Field(None, description="Memory of the node; by default the partition's own.")
+    mem: Memory = Field("16G", description="Memory; without a unit in megabytes.")
     max: int | None = Field(None, ge=0, description="Allocations of this part at once.")
     options: list[Word] = Field(default=[], description="Further options of sbatch: `--nice=100`.")
+
+    @property
+    def mem_mib(self) -> int:
+        """The memory in MiB, as sinfo counts it."""
+        number, unit = int(self.mem.rstrip("KMGT")), self.mem[-1]
+        return {"K": number // 1024, "G": number * 1024, "T": number * 1024**2}.get(unit, number)
 
     @property
     def time_s(self) -> float | None:
@@ -53,7 +59,6 @@ class CpuPart(Part):
 class GpuPart(Part):
     """Workers on GPUs: `cpus` and `mem` are for each GPU."""
 
-    mem: Memory | None = None
     gpus: list[Annotated[int, Field(ge=1, le=MOST_GPUS)]] = Field(
         default=[1], min_length=1, description="For jobs of these many GPUs workers are started."
     )

@@ -148,9 +148,8 @@ def _directives(
     lines += [f"--nodes={kind.hosts}", "--ntasks-per-node=1"]
     number = kind.gpus if isinstance(part, GpuPart) else 1
     lines.append(f"--cpus-per-task={part.cpus * number}")
-    if part.mem is not None:
-        amount, unit = re.fullmatch(r"(\d+)(\D?)", part.mem).groups()  # pyright: ignore[reportOptionalMemberAccess]
-        lines.append(f"--mem={int(amount) * number}{unit}")
+    amount = part.mem.rstrip("KMGT")
+    lines.append(f"--mem={int(amount) * number}{part.mem[len(amount) :]}")
     if isinstance(part, GpuPart):
         lines.append(f"--gres={part.gres.format(gpus=kind.gpus)}")
     lines += [

@@ -52,16 +52,14 @@ class TimeLeft:
         """Whether a running job must drain now."""
         return self._drain_at is not None and self._clock() >= self._drain_at
 
-    def is_too_short(self, needed_s: float | None = None) -> bool:
-        """Whether a job that is taken now would not come to a checkpoint. needed_s: the time that this job
-        needs for it, where earlier attempts have shown it; otherwise the margin.
+    def is_too_short(self) -> bool:
+        """Whether a job that is taken now would not come to a checkpoint.
 
         False for a worker that has just started: no other one would have more time.
         """
         if self._drain_at is None:
             return False
-        margin_s = self._start_margin_s if needed_s is None else max(needed_s, self._start_margin_s)
         now = self._clock()
         if now >= self._drain_at:
             return True
-        return now + margin_s > self._drain_at and now - self._began_at > self._start_margin_s
+        return now + self._start_margin_s > self._drain_at and now - self._began_at > self._start_margin_s

@@ -40,6 +40,14 @@ TunnelHost = Annotated[
     ),
 ]
 
+Folder = Annotated[
+    Path | None,
+    typer.Option(
+        help="Where settings and logs of the workers lie; all nodes must see it. By default `cluster` in the "
+        "data folder."
+    ),
+]
+
 
 def options_said(  # noqa: PLR0913 # A command line's options.
     *,
@@ -99,13 +107,7 @@ def slurm(  # noqa: PLR0913 # A command line's options.
     idle: Annotated[
         float | None, typer.Option(help="Seconds after which a worker without a job ends; by default 120.")
     ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            help="Where settings and logs of the workers lie; all nodes must see it. By default `cluster` in "
-            "the data folder."
-        ),
-    ] = None,
+    folder: Folder = None,
     show: Annotated[
         bool, typer.Option("--print", help="Print the batch scripts, and start nothing.")
     ] = False,

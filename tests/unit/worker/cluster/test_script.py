@@ -61,6 +61,7 @@ def test_a_script_of_defaults_asks_for_little() -> None:
         "#SBATCH --nodes=1",
         "#SBATCH --ntasks-per-node=1",
         "#SBATCH --cpus-per-task=8",
+        "#SBATCH --mem=16G",
         "#SBATCH --output=/lab/me/cluster/logs/%j.log",
         "#SBATCH --open-mode=append",
         "#SBATCH --signal=B:TERM@55",
@@ -170,7 +171,7 @@ NODES = [
 @pytest.mark.parametrize(
     ("kind", "said", "sentence"),
     [
-        (SlotKind("gpu", 4), {"gpu": {"gpus": [4], "cpus": 4}}, None),
+        (SlotKind("gpu", 4), {"gpu": {"gpus": [4], "cpus": 4, "mem": "8G"}}, None),
         (
             CPU,
             {"cpu": {"partition": "nix"}},
@@ -183,6 +184,11 @@ NODES = [
             "/gpu/gpus: 8 GPUs of one node are wanted; a node of partition low has at most 4.",
         ),
         (CPU, {"cpu": {"cpus": 17}}, "/cpu/cpus: 17 cores are wanted; a node of partition low has 16."),
+        (
+            CPU,
+            {"cpu": {"mem": "1T"}},
+            "/cpu/mem: 1048576 MiB are wanted; a node of partition low has 64000.",
+        ),
         (CPU, {"cpu": {"time": "2:00:00"}}, "/cpu/time: 2:00:00 is more than partition low allows."),
     ],
 )
