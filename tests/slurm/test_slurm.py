@@ -33,7 +33,7 @@ def undisturbed(world: World) -> Mapping[str, str]:
 
 
 def test_twenty_jobs_share_the_allocations_and_an_empty_queue_holds_none(workers: World) -> None:
-    jobs = [workers.ended(job) for job in [workers.submit(32_000, seed % 5) for seed in range(20)]]
+    jobs = [workers.ended(job) for job in [workers.submit(16_000, seed % 5) for seed in range(20)]]
     assert [len(job.attempts) for job in jobs] == [1] * 20
     for seed in range(5):
         assert len({tuple(sorted(result(job).items())) for job in jobs[seed::5]}) == 1
@@ -76,30 +76,17 @@ def test_a_worker_that_is_cancelled_drains_and_another_one_goes_on(
     assert result(ended) == undisturbed
 
 
-def test_a_preempted_worker_drains_and_comes_back(workers: World, undisturbed: Mapping[str, str]) -> None:
+def test_a_preempted_worker_drains_and_another_one_goes_on(
+    workers: World, undisturbed: Mapping[str, str]
+) -> None:
     job = workers.submit(STEPS)
-    before = where(workers.trains(job, STEPS // 4))
-    others = [
-        workers.slurm.command(
-            "sbatch",
-            "--parsable",
-            "-p",
-            "high",
-            "-w",
-            node,
-            "-n1",
-            "-c4",
-            "--output=/dev/null",
-            "--wrap=sleep 5",
-        ).strip()
-        for node in ("n1", "n2")
-    ]
+    workers.trains(job, STEPS // 4)
+    for node in ("n1", "n2"):
+        whole = ("-p", "high", "-w", node, "-n1", "-c4")
+        workers.slurm.command("sbatch", *whole, "--output=/dev/null", "--wrap=sleep 5")
     ended = workers.ended(job)
     assert [attempt.reason for attempt in ended.attempts] == ["worker_drained", "completed"]
     assert result(ended) == undisturbed
-    # --requeue: Slurm itself started it again.
-    assert where(ended)["id"] == before["id"]
-    assert others
 
 
 def test_a_time_limit_in_mid_training_is_a_drain_before_it(workers: World) -> None:
