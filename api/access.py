@@ -25,12 +25,14 @@ from core.jobs.store import Whose
 class Access:
     """What a route needs. role: at least this; None: no token at all.
 
-    worker: a token of that scope, and no other. owns: the thing in its path has to be the user's own, or the
-    user an admin. action: its name in the audit log, which begins with the kind of thing; None: it changes
-    nothing, or its own transaction writes the entry.
+    user: the role that the user needs, where the token may have a lesser scope. worker: a token of that
+    scope, and no other. owns: the thing in its path has to be the user's own, or the user an admin. action:
+    its name in the audit log, which begins with the kind of thing; None: it changes nothing, or its own
+    transaction writes the entry.
     """
 
     role: Role | None = Role.VIEWER
+    user: Role | None = None
     worker: bool = False
     owns: bool = False
     action: str | None = None
@@ -69,6 +71,9 @@ ROUTES: Mapping[str, Access] = {
     # It has the passwords of the stores.
     "GET /workers/settings": Access(worker=True),
     "GET /slots": _READ,
+    "GET /usage": _READ,
+    # It tells of all projects; Prometheus has no need of a token that may change anything.
+    "GET /metrics": Access(user=Role.ADMIN),
     "POST /jobs": _submits("job.submitted"),
     "POST /jobs/import": _submits("job.imported"),
     "GET /jobs": _READ,
@@ -191,6 +196,7 @@ def check_role(access: Access, principal: Principal) -> None:
     wanted, reached = access.role or Role.VIEWER, principal.scope.role or Role.VIEWER
     if reached.rank < wanted.rank:
         raise _lacks_scope(SCOPE_FOR[wanted], principal)
+    wanted = access.user or wanted
     if principal.role.rank < wanted.rank:
         raise Forbidden(
             f"This needs the role {wanted}; {principal.user} is a {principal.role}. An admin gives roles.",

@@ -21,6 +21,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api import problems
 from api.access import authorize, undeclared
 from api.dependencies import Service, ServiceStore
+from api.monitoring import Instruments
 from api.openapi import describe, serve
 from api.problems import CrossSiteRequest, EdgeError, UnexpectedError, UnknownHost, answer
 from api.routes import ROUTERS
@@ -46,11 +47,16 @@ def create_app(
     queue: JobQueue,
     objects: ObjectStore,
     patient: ObjectStore | None = None,
+    instruments: Instruments | None = None,
 ) -> FastAPI:
-    """The service, built from these parts. patient: the object store for requests that may take minutes."""
+    """The service, built from these parts.
+
+    patient: the object store for requests that may take minutes. instruments: those that observe the stores.
+    """
     app = interface()
     app.state.service = Service(settings, store, queue, objects, patient)
-    app.add_middleware(Correlation, origin_check=OriginCheck(settings.hosts))
+    app.state.instruments = instruments = instruments or Instruments()
+    app.add_middleware(Correlation, origin_check=OriginCheck(settings.hosts), instruments=instruments)
     return app
 
 
@@ -82,14 +88,17 @@ def build(settings: ApiSettings) -> FastAPI:
     """The service over PostgreSQL, RQ and the object store that the settings name."""
     from core.adapters.wiring import job_queue, job_store, object_store
 
+    instruments = Instruments()
+    observe = instruments.observe_store
     # A client waits for each answer, so a store that does not answer is given up after two seconds.
-    objects = object_store(settings, retries=1, timeout_s=2.0)
+    objects = object_store(settings, retries=1, timeout_s=2.0, observe=observe)
     return create_app(
         settings,
-        store=job_store(settings),
-        queue=job_queue(settings),
+        store=job_store(settings, observe=observe),
+        queue=job_queue(settings, observe=observe),
         objects=objects,
-        patient=object_store(settings),
+        patient=object_store(settings, observe=observe),
+        instruments=instruments,
     )
 
 
@@ -162,11 +171,15 @@ def _name(host: str) -> str:
 
 
 class Correlation:
-    """ASGI middleware. It keeps the client's X-Request-ID if that is harmless, and sends it back."""
+    """ASGI middleware. It keeps the client's X-Request-ID if that is harmless, and sends it back.
 
-    def __init__(self, app: ASGIApp, origin_check: OriginCheck) -> None:
+    It also counts the request for monitoring.
+    """
+
+    def __init__(self, app: ASGIApp, origin_check: OriginCheck, instruments: Instruments) -> None:
         self._app = app
         self._origin_check = origin_check
+        self._instruments = instruments
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -195,28 +208,40 @@ class Correlation:
             # `/jobs/<id>/cancel`; of a new thing the header Location has the id.
             about = f"{action.partition('.')[0]} {(sender.location or scope['path']).split('/')[2]}"
             scope["app"].state.service.audit_log.add(actor, action, about)
-        seconds = round(time.perf_counter() - started, 4)
+        ended = time.perf_counter()
         log.info(
             "request_answered",
             method=scope["method"],
             path=scope["path"],
             status=sender.status,
-            seconds=seconds,
+            seconds=round(ended - started, 4),
+        )
+        self._instruments.observe_request(
+            scope["method"], _route(scope), sender.status, (sender.began_at or ended) - started
         )
 
 
+def _route(scope: Scope) -> str:
+    """The path of the route as written, such as `/jobs/{job_id}`: there are few enough to count each."""
+    return getattr(scope.get("route"), "path", "none")
+
+
 class _Sender:
-    """Sends the answer with the correlation id, and keeps its status and location; 0 before it begins."""
+    """Sends the answer with the correlation id.
+
+    It keeps the answer's status, its location, and when it began; 0 before that.
+    """
 
     def __init__(self, send: Send, correlation_id: str) -> None:
         self.status = 0
         self.location = ""
+        self.began_at = 0.0
         self._send = send
         self._correlation_id = correlation_id
 
     async def __call__(self, message: Message) -> None:
         if message["type"] == "http.response.start":
-            self.status = message["status"]
+            self.status, self.began_at = message["status"], time.perf_counter()
             headers = MutableHeaders(scope=message)
             headers[HEADER] = self._correlation_id
             self.location = headers.get("location", "")

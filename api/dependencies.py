@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from api.audit_log import AuditLog
 from api.authentication import Authenticator
+from api.monitoring import RecentReading
 from api.shared_reads import JobWatcher, Owners, RecentAnswers, SharedReads
 from core.accounts.store import AccountStore
 from core.jobs import feeds
@@ -36,6 +37,7 @@ class Service:
     watcher: tells streams when their job has changed.
     feed_reads: shares what streams read.
     lists: of jobs, as they were sent in the last moments.
+    recent: reading of the record, for monitoring.
     acknowledgements: of dispatches that the queue has received.
     broken_files: keys of files that broke off as they were sent; they are read whole before the next answer.
     patient: the object store again, for a request that may take minutes; by default `objects`.
@@ -62,6 +64,7 @@ class Service:
     authenticator: Authenticator | None = field(init=False)
     owners: Owners = field(default_factory=Owners)
     audit_log: AuditLog = field(init=False)
+    recent: RecentReading = field(init=False)
 
     def __post_init__(self) -> None:
         self.watcher = JobWatcher(self.store)
@@ -69,6 +72,7 @@ class Service:
         most = self.settings.requests_per_second
         self.authenticator = Authenticator(self.store, most) if self.settings.accounts else None
         self.audit_log = AuditLog(self.store.note)
+        self.recent = RecentReading(self.store)
 
 
 async def _service(request: Request) -> Service:
@@ -77,6 +81,13 @@ async def _service(request: Request) -> Service:
 
 # Asynchronous, so that returning a reference takes no thread.
 ServiceDep = Annotated[Service, Depends(_service)]
+
+
+async def _correlation_id(request: Request) -> str:
+    return request.state.correlation_id
+
+
+CorrelationId = Annotated[str, Depends(_correlation_id)]
 
 
 def id_in_path(description: str) -> Any:

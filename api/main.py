@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from multiprocessing import parent_process
+from tempfile import TemporaryDirectory
 from types import FrameType
 from typing import Any
 
@@ -23,8 +24,10 @@ from uvicorn.config import STARTUP_FAILURE
 from uvicorn.supervisors import multiprocess
 
 from api.app import from_environment
-from core.configuration import configure_logging, stopping_if_misconfigured
+from api.monitoring import SHARED_FOLDER
+from core.configuration import stopping_if_misconfigured
 from core.errors import Misconfigured
+from core.telemetry import configure_logging
 
 BACKLOG = 512
 # Long enough for a piece of a file or a submission; streams close on their own.
@@ -166,7 +169,9 @@ def serve(listener: socket.socket, number: int, on_ready: Callable[[], None]) ->
         timeout_worker_healthcheck=_START_S,
     )
     watch = _Watch(config, listener, on_ready)
-    watch.run()
+    with TemporaryDirectory(prefix="gaitway-metrics-") as folder:
+        os.environ[SHARED_FOLDER] = folder
+        watch.run()
     if any(process.exitcode == STARTUP_FAILURE for process in watch.processes):
         sys.exit(STARTUP_FAILURE)
 

@@ -104,6 +104,7 @@ def job_view(job: Job | UnreadableJob, workers: Sequence[WorkerInfo] | None = No
         owner=job.owner,
         project=job.project,
         imported_from=None if job.imported_from is None else OriginView.model_validate(job.imported_from),
+        correlation_id=job.correlation_id,
         progress=ProgressView.model_validate(progress),
         attempts=tuple(AttemptView.model_validate(attempt) for attempt in job.attempts),
         artifacts=tuple(artifact_view(job.id, artifact) for artifact in job.artifacts),

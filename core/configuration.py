@@ -1,6 +1,5 @@
-"""Reads the settings from the environment, or says what is wrong with them; sets up the logs of a process."""
+"""Reads the settings from the environment, or says what is wrong with them."""
 
-import logging
 import os
 import sys
 from collections.abc import Generator
@@ -75,19 +74,3 @@ def _sentence(kind: type[StoreSettings], detail: ErrorDetails) -> str:
         return f"{variable(field)} is not set. {meaning}"
     reason = detail["msg"].removeprefix("Value error, ")
     return f"{variable(field)} is wrong: {reason}. {meaning}"
-
-
-def configure_logging(service: str) -> None:
-    """Log JSON from here on, each line with the service's name and whatever is bound to the context."""
-    structlog.configure(
-        processors=[
-            structlog.contextvars.merge_contextvars,
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.processors.format_exc_info,
-            structlog.processors.JSONRenderer(),
-        ],
-        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=structlog.PrintLoggerFactory(sys.stdout),
-    )
-    structlog.contextvars.bind_contextvars(service=service)

@@ -15,9 +15,10 @@ from pathlib import Path
 
 import structlog
 
-from core.configuration import configure_logging, stopping_if_misconfigured
+from core.configuration import stopping_if_misconfigured
 from core.devices import gpu_indices
 from core.errors import EXIT_STATUS, Misconfigured
+from core.telemetry import configure_logging
 from core.variables import variable
 from worker.host.child import launch
 from worker.host.device import REMEDY, visible_gpus

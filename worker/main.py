@@ -25,15 +25,17 @@ from rq.serializers import JSONSerializer
 from core.adapters.rq.queue import job_of
 from core.adapters.startup import check_stores
 from core.adapters.wiring import connect_redis, job_store, object_store
-from core.configuration import configure_logging, read, stopping_if_misconfigured
+from core.configuration import read, stopping_if_misconfigured
 from core.environments.catalog import find
 from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.installation import to_install
 from core.jobs.job import utc_now
 from core.jobs.queue import FIRST, queue_names
 from core.jobs.store import JobStore
+from core.jobs.tallies import Report, Tallies
 from core.jobs.workers import WorkerInfo, packages_here
 from core.settings import WorkerSettings
+from core.telemetry import configure_logging
 from core.variables import variable
 from worker.host import device_health
 from worker.host.allocation import TimeLeft, allocation
@@ -68,9 +70,16 @@ class GaitwayWorker(rq.Worker):
     """RQ's forking worker, which announces itself to the service and passes a shutdown on to its job."""
 
     def __init__(
-        self, settings: WorkerSettings, device: str, store: JobStore, health: DeviceHealth | None = None
+        self,
+        settings: WorkerSettings,
+        device: str,
+        store: JobStore,
+        health: DeviceHealth | None = None,
+        tallies: Tallies | None = None,
     ) -> None:
         self._store = store
+        self._tallies = tallies or Tallies()
+        self._report = Report(self._tallies, store.add_tallies)
         self._objects = object_store(settings)
         self._health = health or health_of(device, settings)
         self._alive_file = settings.alive_file
@@ -185,9 +194,12 @@ class GaitwayWorker(rq.Worker):
         self._go_if_told()
         self._end_stopped_horse()
         self._clear_up()
+        began = time.perf_counter()
         try:
             super().heartbeat(*args, **kwargs)
+            self._tallies.observe_store("redis", time.perf_counter() - began, failed=False)
         except _OUTAGES as error:
+            self._tallies.observe_store("redis", time.perf_counter() - began, failed=True)
             if self._idle_since < inf:  # It waits for a message: that needs Redis.
                 raise
             log.warning("queue_bookkeeping_waits", error=str(error))
@@ -294,6 +306,7 @@ class GaitwayWorker(rq.Worker):
         try:
             self._store.announce(info, timedelta(seconds=4 * _ANNOUNCE_EVERY_S))
             record_left(self._data_dir, self._store, self._objects)
+            self._report.if_due()
         except Unavailable as error:
             log.warning("announcement_missed", error=error.detail)
         finally:
@@ -360,9 +373,10 @@ def main() -> None:
     check_folder(settings.data_dir)
     check_stores(settings)
     # Without a pool: a connection must not be shared with what is forked.
-    store = job_store(settings, pool_size=0)
+    tallies = Tallies()
+    store = job_store(settings, pool_size=0, observe=tallies.observe_store)
     check_prepared(settings.prepared)
-    worker = GaitwayWorker(settings, device, store)
+    worker = GaitwayWorker(settings, device, store, tallies=tallies)
     log.info("worker_started", worker=worker.name)
     try:
         worker.work(logging_level="WARNING")

@@ -130,10 +130,10 @@ class BestSoFar(Stored):
 class Task(Stored):
     """The task that the supervisor leaves in the spool, as `task.json`, for the training process.
 
-    device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to resume
-    from (training), or to take the policy from (rollout). checkpoint_step: its environment step. policy_of:
-    the algorithm, where it is the file of a policy instead. policy_seed: whose policy to take from a
-    checkpoint of several seeds. best: of a training's earlier attempts, one for each seed. model:
+    device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. correlation_id: the job's. checkpoint: path of the
+    state to resume from (training), or to take the policy from (rollout). checkpoint_step: its environment
+    step. policy_of: the algorithm, where it is the file of a policy instead. policy_seed: whose policy to
+    take from a checkpoint of several seeds. best: of a training's earlier attempts, one for each seed. model:
     path of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with
     the reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint,
     which `auto` then takes again. source_engine: the engine that moved the environments in another job's
@@ -144,6 +144,7 @@ class Task(Stored):
     attempt: int
     spec: SentSpec
     device: str
+    correlation_id: str | None = None
     checkpoint: str | None = None
     checkpoint_step: int = 0
     policy_of: str | None = None

@@ -16,13 +16,15 @@ import structlog
 
 from core.adapters.startup import check_stores, prepare_database, prepare_workers
 from core.adapters.wiring import job_queue, job_store, object_store
-from core.configuration import configure_logging, read, stopping_if_misconfigured
+from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.jobs import feeds, orphans
 from core.jobs.ending import end_deletions
 from core.jobs.reconciliation import Reconciler, StrayMessages
+from core.jobs.tallies import Report, Tallies
 from core.settings import ReconcilerSettings
 from core.sweeps.controller import SweepController
+from core.telemetry import configure_logging
 from core.user_models import library
 from worker.host.health import show_life
 
@@ -31,6 +33,7 @@ log = structlog.get_logger()
 # It reads the record of every model, and nobody waits for it.
 _TIDY_EVERY_S = 3600.0
 _DELETIONS_EVERY_S = 60.0
+_REPORT_EVERY_S = 30.0
 # How long a pass may spend on a chore that takes minutes.
 _AT_ONCE_S = 0.2
 
@@ -85,13 +88,17 @@ class LongChore:
 
 def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
     """All chores, the urgent one first."""
-    store, queue, objects = job_store(settings), job_queue(settings), object_store(settings)
+    tallies = Tallies()
+    observe = tallies.observe_store
+    store, queue = job_store(settings, observe=observe), job_queue(settings, observe=observe)
+    objects = object_store(settings, observe=observe)
     every_s = settings.reconcile_every.total_seconds()
     return [
         Chore("jobs", every_s, Reconciler(store, queue, settings.lease).run_once),
         Chore("feeds", every_s, partial(feeds.compact, store=store, objects=objects)),
         Chore("sweeps", every_s, SweepController(store, queue, objects).run_once),
         Chore("messages", 10 * every_s, StrayMessages(queue).run_once),
+        Chore("monitoring", _REPORT_EVERY_S, Report(tallies, store.add_tallies).now),
         Chore("record", _TIDY_EVERY_S, store.tidy),
         Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
         Chore("deletions", _DELETIONS_EVERY_S, partial(end_deletions, store=store, objects=objects)),

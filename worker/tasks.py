@@ -19,10 +19,12 @@ from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery, JobStore
+from core.jobs.tallies import Tallies
 from core.jobs.workers import packages_here, why_left_to_others
 from core.previews.record import PreviewRequest
 from core.retry import CalledOff, pause, retry_while_unavailable
 from core.settings import WorkerSettings
+from core.telemetry import configure_logging
 from worker.host import device_health
 from worker.host.allocation import allocation
 from worker.host.device import device_of
@@ -48,7 +50,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
         signal.signal(number, draining.set)
     # The work-horse of a killed worker ends, too, but drains first: SIGTERM, not SIGKILL.
     die_with_parent(signal_number=signal.SIGTERM)
-    structlog.contextvars.bind_contextvars(job_id=job_id, attempt=attempt)
+    configure_logging("worker", job_id=job_id, attempt=attempt)
     settings = read(WorkerSettings)
     remove_left_over(settings.data_dir / SPOOLS)  # They may be what fills the disk.
     if not has_room(settings.data_dir):
@@ -60,7 +62,8 @@ def run_attempt(job_id: str, attempt: int) -> None:
     except Misconfigured as error:  # A GPU has gone since the worker started.
         _leave_to_others(error.detail, draining)
         return
-    store = job_store(settings)
+    tallies = Tallies()
+    store = job_store(settings, observe=tallies.observe_store)
     worker = this_worker() or f"{socket.gethostname()}:{device}"
     take = partial(
         claim_attempt,
@@ -68,13 +71,14 @@ def run_attempt(job_id: str, attempt: int) -> None:
         attempt,
         worker=worker,
         store=store,
-        objects=object_store(settings),
+        objects=object_store(settings, observe=tallies.observe_store),
         lease=settings.lease,
         secret=new_secret(),
         details={"allocation": where} if (where := allocation(os.environ)) else {},
     )
     try:
         job = retry_while_unavailable(partial(store.get, job_id), called_off=draining.is_set)
+        configure_logging("worker", job_id=job_id, attempt=attempt, correlation_id=job.correlation_id)
         look = partial(_why_left_to_others, job, store)
         if reason := retry_while_unavailable(look, called_off=draining.is_set):
             # The reconciler dispatches it again after it has missed it twice.
@@ -87,8 +91,9 @@ def run_attempt(job_id: str, attempt: int) -> None:
     if claim is None:
         log.info("dispatch_ignored")
         return
+    log.info("attempt_began", worker=worker)
     test = device_health.command_for(device)
-    Supervisor(claim, settings, device, places, draining=draining, device_test=test).run()
+    Supervisor(claim, settings, device, places, draining=draining, device_test=test, tallies=tallies).run()
 
 
 def validate_model(model_id: str) -> None:

@@ -16,8 +16,9 @@ const VIEWS = {
   submit: () => "submit",
   models: () => "models",
   workers: () => "workers",
+  usage: () => "usage",
 };
-const NAMES = { jobs: "Jobs", sweeps: "Sweeps", submit: "Submit", models: "Models", workers: "Workers" };
+const NAMES = { jobs: "Jobs", sweeps: "Sweeps", submit: "Submit", models: "Models", workers: "Workers", usage: "Usage" };
 
 function useView(name, path) {
   const [view, setView] = useState({});

@@ -9,6 +9,7 @@ from api.routes import (
     joining,
     metrics,
     models,
+    monitoring,
     page,
     previews,
     replay,
@@ -31,5 +32,6 @@ ROUTERS = (
     accounts.router,
     joining.router,
     health.router,
+    monitoring.router,
     page.router,
 )

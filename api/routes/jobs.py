@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field
 
 from api.access import PrincipalDep, ownership_of_new, whose
-from api.dependencies import JobId, QueryParameters, Service, ServiceDep
+from api.dependencies import CorrelationId, JobId, QueryParameters, Service, ServiceDep
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
 from api.shared_reads import max_age_s
 from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
@@ -98,7 +98,11 @@ class JobFilters(QueryParameters):
     ),
 )
 def submit_job(
-    spec: Submitted, key: IdempotencyKey, service: ServiceDep, principal: PrincipalDep
+    spec: Submitted,
+    key: IdempotencyKey,
+    correlation_id: CorrelationId,
+    service: ServiceDep,
+    principal: PrincipalDep,
 ) -> Response:
     """Queue a training or a rollout."""
     job = submit(
@@ -109,6 +113,7 @@ def submit_job(
         readable=principal.readable,
         idempotency=idempotency(key, spec, principal),
         acknowledge=service.acknowledgements.add,
+        correlation_id=correlation_id,
     )
     return answer(job_view(job), 202, {"Location": f"/jobs/{job.id}"})
 

@@ -12,6 +12,7 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
+from core.adapters.timing import Observe, unobserved
 from core.errors import Misconfigured
 from core.settings import StoreSettings
 
@@ -39,15 +40,20 @@ def connect_redis(url: str, *, retries: int = 1, timeout_s: float = 2.0) -> Redi
         ) from None
 
 
-def job_store(settings: StoreSettings, *, pool_size: int = 10) -> PostgresJobStore:
-    return PostgresJobStore(connect_postgres(settings.database_url.get_secret_value(), pool_size=pool_size))
+def job_store(
+    settings: StoreSettings, *, pool_size: int = 10, observe: Observe = unobserved
+) -> PostgresJobStore:
+    engine = connect_postgres(settings.database_url.get_secret_value(), pool_size=pool_size)
+    return PostgresJobStore(engine, observe=observe)
 
 
-def job_queue(settings: StoreSettings) -> RQQueue:
-    return RQQueue(connect_redis(settings.redis_url.get_secret_value()))
+def job_queue(settings: StoreSettings, *, observe: Observe = unobserved) -> RQQueue:
+    return RQQueue(connect_redis(settings.redis_url.get_secret_value()), observe)
 
 
-def object_store(settings: StoreSettings, *, retries: int = 2, timeout_s: float = 15.0) -> S3ObjectStore:
+def object_store(
+    settings: StoreSettings, *, retries: int = 2, timeout_s: float = 15.0, observe: Observe = unobserved
+) -> S3ObjectStore:
     """The object store; a process whose callers wait passes short limits."""
     client = connect_s3(
         settings.s3_endpoint,
@@ -72,4 +78,4 @@ def object_store(settings: StoreSettings, *, retries: int = 2, timeout_s: float 
         raise Misconfigured(
             f"GAITWAY_S3_BUCKET is wrong: {error}. Set it to the name of a bucket."
         ) from error
-    return S3ObjectStore(client, settings.s3_bucket)
+    return S3ObjectStore(client, settings.s3_bucket, observe)

@@ -134,7 +134,8 @@ class Job(Stored):
     """The record. `version` rises by one with every step; the store refuses any other.
 
     not_before: when a queued job may be tried again, after an attempt that failed. owner: a user's name; None
-    without accounts.
+    without accounts. correlation_id: of the request that submitted it, or the id of the sweep that began it;
+    each process logs it.
     """
 
     id: str
@@ -153,6 +154,7 @@ class Job(Stored):
     imported_from: Origin | None = None
     owner: str | None = None
     project: str = DEFAULT_PROJECT
+    correlation_id: str | None = None
 
     @property
     def ownership(self) -> Ownership:

@@ -65,7 +65,13 @@ class Reconciler:
             self._store.take_back(taken)
         except (StaleJob, JobNotFound):  # The worker has renewed its lease, or another reconciler was faster.
             return False
-        log.warning("job_taken_back", job_id=job.id, worker=worker, status=taken.status)
+        log.warning(
+            "job_taken_back",
+            job_id=job.id,
+            worker=worker,
+            status=taken.status,
+            correlation_id=job.correlation_id,
+        )
         with suppress(RecordsUnavailable):  # Nobody else would remove its message.
             self._queue.remove(job.id, len(job.attempts))
         return True
@@ -100,7 +106,8 @@ class Reconciler:
                 dispatch, queue=self._queue, job=job if isinstance(job, Job) else None
             ):
                 break
-            log.info("dispatched", task=dispatch.task, subject=dispatch.subject)
+            of_request = {"correlation_id": job.correlation_id} if isinstance(job, Job) else {}
+            log.info("dispatched", task=dispatch.task, subject=dispatch.subject, **of_request)
             heard.append(dispatch)
         return heard
 

@@ -15,6 +15,7 @@ from core.jobs.metrics import Block, Measurement
 from core.jobs.slots import QueueCount
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
+from core.jobs.usage import UsageStore
 from core.jobs.workers import WorkerStore
 from core.user_models.record import ModelStore
 
@@ -182,7 +183,7 @@ class Mark:
     num_logs: int
 
 
-class JobStore(ModelStore, WorkerStore, Protocol):
+class JobStore(ModelStore, UsageStore, WorkerStore, Protocol):
     """The record. Every method raises RecordsUnavailable when the store cannot be reached.
 
     Each write is one transaction. `save` is a compare-and-set on the version; `renew` and `record` carry an

@@ -46,20 +46,22 @@ def submit(  # noqa: PLR0913 # All but the specification are named.
     readable: Collection[str] | None = None,
     idempotency: Idempotency | None = None,
     acknowledge: Callable[[Dispatch], None] = lambda dispatch: None,
+    correlation_id: str | None = None,
 ) -> Job:
     """Store and queue a job; or return the one that an earlier submission with the same key created.
 
     The job and its dispatch are stored in one transaction: after that, a loss of Redis cannot lose the job.
     ownership, readable: as in `new_job`. acknowledge: called with the dispatch once the queue has received
-    it; without, the reconciler finds out.
+    it; without, the reconciler finds out. correlation_id: of the request.
     Raises Rejected, IdempotencyKeyReused, RecordsUnavailable.
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
         return known
     try:
-        job = store.add(new_job(spec, store, ownership, readable), idempotency)
+        job = store.add(new_job(spec, store, ownership, readable, correlation_id), idempotency)
     except JobNotFound:  # The job whose checkpoint it needs was deleted between the check and this.
-        job = store.add(new_job(spec, store, ownership, readable), idempotency)
+        job = store.add(new_job(spec, store, ownership, readable, correlation_id), idempotency)
+    log.info("job_submitted", job_id=job.id)
     dispatch = Dispatch("attempt", job.id, job.next_attempt)
     if hand_over_if_room(dispatch, job, queue):
         acknowledge(dispatch)
@@ -71,6 +73,7 @@ def new_job(
     store: JobStore,
     ownership: Ownership = NOBODYS,
     readable: Collection[str] | None = None,
+    correlation_id: str | None = None,
 ) -> Job:
     """The job of a submission, checked and not stored yet. Raises Rejected.
 
@@ -82,7 +85,12 @@ def new_job(
     check(spec, store)
     now = store.now()
     return Job(
-        id=new_job_id(now), spec=spec, created_at=now, owner=ownership.owner, project=ownership.project
+        id=new_job_id(now),
+        spec=spec,
+        created_at=now,
+        owner=ownership.owner,
+        project=ownership.project,
+        correlation_id=correlation_id,
     )
 
 

@@ -1,5 +1,6 @@
 """Workers: their reports on themselves, what a job needs of one, and why a queued job waits."""
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -22,6 +23,7 @@ from core.physics.availability import PACKAGES
 
 # A worker names itself by its host, its device and a few random digits.
 WORKER_NAME = "[!-~]{1,200}"
+_PARTS_OF_NAME = re.compile(r"(?P<host>[^:]+):(?P<device>cpu|gpu(:[0-9,-]+)?)(:[0-9a-f]{6})?")
 WorkerState = Literal["ready", "testing", "device_failed"]
 
 
@@ -125,6 +127,12 @@ def memory_for(spec: JobSpec) -> Mapping[Device, MemoryNeed]:
         return resolve_job(spec).memory
     except GaitwayError:  # A version with other rules accepted it; the attempt says what is wrong.
         return {}
+
+
+def host_and_device(worker: str) -> tuple[str, str]:
+    """The host and the device that a worker's name names; the whole name and "" for any other name."""
+    parts = _PARTS_OF_NAME.fullmatch(worker)
+    return (parts["host"], parts["device"]) if parts else (worker, "")
 
 
 def kind_of(device: str) -> Device:

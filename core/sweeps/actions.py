@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from contextlib import suppress
 
+import structlog
 from pydantic import ValidationError
 
 from core.accounts.principal import NOBODYS, Ownership
@@ -15,6 +16,8 @@ from core.sweeps.axes import axis_place, job_of
 from core.sweeps.checks import check_budget, checked, in_the_job
 from core.sweeps.spec import Budget, Range, SweepSpec
 from core.sweeps.sweep import Sweep, SweepStatus, SweepStore
+
+log = structlog.get_logger()
 
 # The reconciler looks at each of them every second.
 MOST_ACTIVE = 100
@@ -40,7 +43,9 @@ def submit_sweep(
     sweep = Sweep(
         id=new_job_id(now), spec=spec, created_at=now, owner=ownership.owner, project=ownership.project
     )
-    return store.add_sweep(sweep, idempotency, most_active=MOST_ACTIVE)
+    stored = store.add_sweep(sweep, idempotency, most_active=MOST_ACTIVE)
+    log.info("sweep_submitted", sweep_id=stored.id)
+    return stored
 
 
 def _check_readable(spec: SweepSpec, readable: Collection[str] | None, store: SweepStore) -> None:

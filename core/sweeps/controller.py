@@ -174,7 +174,8 @@ class SweepController:
             if start.parent is not None:
                 spec = self._like_its_source(spec)
             spec = spec.model_copy(update={"labels": labels_of(sweep, start.number, spec.labels)})
-            job = submission.new_job(spec, self._store, sweep.ownership, readable_by(sweep.ownership))
+            readable = readable_by(sweep.ownership)
+            job = submission.new_job(spec, self._store, sweep.ownership, readable, correlation_id=sweep.id)
         except (ValidationError, Rejected) as error:
             refused = {"outcome": "refused", "message": _sentence(error), "finished_at": trial.created_at}
             self._store.add_trial(sweep.id, trial.model_copy(update=refused), None)

@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import AsyncIterator, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -13,7 +14,7 @@ from gaitway.addresses import POLL_S
 from gaitway.async_client.connection import AsyncConnection
 from gaitway.concurrency import async_sleep
 from gaitway.errors import Rejected, WaitTimeout
-from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, SlotsView, WorkerView
+from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, SlotsView, UsageView, WorkerView
 
 # As the service allows.
 _LONGEST_NAME = 100
@@ -146,6 +147,14 @@ class AsyncCatalog(AsyncConnection):
         for no particular device; otherwise they are of the kind `any`."""
         params = {} if counted_as is None else {"counted_as": counted_as}
         return await self._get("/slots", SlotsView, params=params)
+
+    async def usage(self, since: datetime | None = None) -> UsageView:
+        """What was used since then, by default in the last day, by project and user; and by device.
+
+        since: rounded down to the hour; without a time zone, it is local time.
+        """
+        params = {} if since is None else {"since": since.astimezone().isoformat()}
+        return await self._get("/usage", UsageView, params=params)
 
     async def health(self) -> Mapping[str, Any]:
         """The service's readiness. Raises Unavailable when a part of it is unavailable."""

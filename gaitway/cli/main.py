@@ -15,6 +15,7 @@ from gaitway.cli import (
     service,
     submit,
     sweeps,
+    usage,
     watch,
 )
 from gaitway.cli.common import CommandGroup
@@ -77,6 +78,7 @@ for command in (
     accounts.logout,
     accounts.whoami,
     accounts.audit,
+    usage.usage,
 ):
     app.command()(command)
 app.command("open")(watch.open_job)

@@ -4,6 +4,7 @@
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -14,7 +15,7 @@ from gaitway.addresses import POLL_S
 from gaitway.client.connection import Connection
 from gaitway.concurrency import sleep
 from gaitway.errors import Rejected, WaitTimeout
-from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, SlotsView, WorkerView
+from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, SlotsView, UsageView, WorkerView
 
 # As the service allows.
 _LONGEST_NAME = 100
@@ -143,6 +144,14 @@ class Catalog(Connection):
         for no particular device; otherwise they are of the kind `any`."""
         params = {} if counted_as is None else {"counted_as": counted_as}
         return self._get("/slots", SlotsView, params=params)
+
+    def usage(self, since: datetime | None = None) -> UsageView:
+        """What was used since then, by default in the last day, by project and user; and by device.
+
+        since: rounded down to the hour; without a time zone, it is local time.
+        """
+        params = {} if since is None else {"since": since.astimezone().isoformat()}
+        return self._get("/usage", UsageView, params=params)
 
     def health(self) -> Mapping[str, Any]:
         """The service's readiness. Raises Unavailable when a part of it is unavailable."""

@@ -288,8 +288,8 @@ class Files(Jobs, Catalog, Downloads):
 
 
 def _with_query(href: str, **query: str | int | None) -> str:
-    given = {name: value for name, value in query.items() if value is not None}
-    return f"{href}?{urlencode(given)}" if given else href
+    parameters = {name: value for name, value in query.items() if value is not None}
+    return f"{href}?{urlencode(parameters)}" if parameters else href
 
 
 def _finished(job: JobView, ending: str, best: bool, seed: int | None) -> ArtifactView | None:

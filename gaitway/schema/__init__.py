@@ -15,14 +15,17 @@ from gaitway.schema.accounts import (
 )
 from gaitway.schema.base import FINAL_STATUSES, View
 from gaitway.schema.catalog import (
+    DeviceUsageView,
     EnvironmentDetails,
     EnvironmentView,
     ModelView,
     PreviewView,
+    ProjectUsageView,
     SliceView,
     SlotsView,
     SlotView,
     StillView,
+    UsageView,
     WorkerView,
 )
 from gaitway.schema.jobs import (
@@ -41,6 +44,7 @@ __all__ = [
     "ArtifactView",
     "AttemptView",
     "AuditView",
+    "DeviceUsageView",
     "EnvironmentDetails",
     "EnvironmentView",
     "GroupView",
@@ -52,6 +56,7 @@ __all__ = [
     "OriginView",
     "PreviewView",
     "ProgressView",
+    "ProjectUsageView",
     "ProjectView",
     "SliceView",
     "SlotView",
@@ -61,6 +66,7 @@ __all__ = [
     "SweepView",
     "TokenView",
     "TrialView",
+    "UsageView",
     "UserView",
     "View",
     "WhoView",

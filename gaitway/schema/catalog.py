@@ -1,5 +1,5 @@
-"""Environments and users' own models, which a job may name; their stills; the workers that run jobs, and how
-many are wanted."""
+"""Environments and users' own models, which a job may name; their stills; the workers that run jobs, how many
+are wanted, and what was used."""
 
 from collections.abc import Mapping
 from datetime import datetime
@@ -166,3 +166,38 @@ class SlotsView(View):
     queued: int = 0
     running: int = 0
     oldest_queued_s: float | None = None
+
+
+class ProjectUsageView(View):
+    """What a user's jobs of a project have used. owner: empty in a service without accounts.
+
+    jobs, attempts: how many ended; running: attempts that run now. seconds: of all attempts; gpu_seconds:
+    those, times the GPUs that each had.
+    """
+
+    project: str
+    owner: str = ""
+    jobs: int = 0
+    attempts: int = 0
+    running: int = 0
+    seconds: float = 0.0
+    gpu_seconds: float = 0.0
+
+
+class DeviceUsageView(View):
+    """How long a device had a job. seconds: in each of the hours that `UsageView.hours` names."""
+
+    host: str
+    device: str = ""
+    seconds: tuple[float, ...] = ()
+
+
+class UsageView(View):
+    """What was used from `since` until now. hours: the last day's, by their beginnings; the first of them and
+    the present one are not whole."""
+
+    since: datetime
+    until: datetime
+    projects: tuple[ProjectUsageView, ...] = ()
+    hours: tuple[datetime, ...] = ()
+    devices: tuple[DeviceUsageView, ...] = ()

@@ -97,6 +97,12 @@ class JobView(View):
         description="Where an imported job was run. Ids in its `spec` are of that service; `attempts` and "
         "times are those of the run there.",
     )
+    correlation_id: str | None = Field(
+        None,
+        description="By which the logs of all processes name the job: the `X-Request-ID` of the request that "
+        "submitted it, or the id of its sweep.",
+        examples=["5f0c9a3e1b7d2468"],
+    )
     progress: ProgressView = ProgressView()
     attempts: tuple[AttemptView, ...] = ()
     artifacts: tuple[ArtifactView, ...] = ()

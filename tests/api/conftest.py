@@ -18,6 +18,7 @@ from fastapi import FastAPI
 from api.app import create_app
 from api.dependencies import Service
 from api.main import ApiServer, listen
+from api.monitoring import Instruments
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobFinished, RecordsUnavailable, StorageUnavailable, Unavailable
@@ -81,6 +82,7 @@ class Stack:
     objects: MemoryObjectStore
     http: httpx.Client
     port: int
+    instruments: Instruments
 
     def away(self, part: Literal["store", "queue", "objects"]) -> AbstractContextManager[threading.Event]:
         """Meanwhile the service cannot reach this part, and the test can. The event: it has tried."""
@@ -137,7 +139,7 @@ def stack(server: tuple[FastAPI, int], job_store: PostgresJobStore) -> Iterator[
     )
     # Without certificates, whose loading takes longer than most tests.
     with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20, verify=False) as http:  # noqa: S501
-        yield Stack(service, job_store, queue, objects, http, port)
+        yield Stack(service, job_store, queue, objects, http, port, app.state.instruments)
     service.acknowledgements.flush()
     service.stopping = True  # Whatever stream a test has left open.
     # A request that outlived its stores would return its connection to a pool that nobody closes any more.

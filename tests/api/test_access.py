@@ -77,6 +77,8 @@ def test_every_route_admits_who_has_role_and_scope(lab: Lab, user: str) -> None:
         may = wanted is None or (wanted in reached and role.rank >= wanted.rank)
         if route == FOR_WORKERS:
             may = scope is TokenScope.WORKER
+        if route == "GET /metrics":  # Prometheus reads with an admin's token of any scope.
+            may = bool(reached) and role is Role.ADMIN
         answer = lab.of(user, scope).request(*address(route))
         assert (answer.status_code != 403) == may, (route, user, scope, answer.text)
         assert answer.status_code != 401, route
@@ -235,3 +237,16 @@ def test_beyond_this_machine_it_needs_accounts(address: str) -> None:
     with pytest.raises(Misconfigured, match=r"GAITWAY_ACCOUNTS=true.*ssh -L"):
         check_exposure(address, has_accounts=False)
     check_exposure(address, has_accounts=True)
+
+
+def test_usage_names_the_projects_that_one_sees(lab: Lab) -> None:
+    for number, user in enumerate(("ann", "bob")):
+        queued = job(f"{number:012x}-0000000000").model_copy(
+            update={"owner": user, "project": USERS[user][1][0]}
+        )
+        Attempt(lab.stack, queued).end()
+    seen = {who: lab.of(who).get("/usage").json()["projects"] for who in ("ann", "two", "root")}
+    assert [(used["project"], used["owner"]) for used in seen["ann"]] == [("a", "ann")]
+    assert (
+        {used["project"] for used in seen["two"]} == {"a", "b"} == {used["project"] for used in seen["root"]}
+    )

@@ -19,12 +19,15 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
+from core.jobs.tallies import Tally
+from core.jobs.usage import UsageStore
 from core.jobs.workers import WorkerStore
 from core.user_models.record import ModelStore
 from gaitway.service.embedded.postgres import Postgres
 from tests.contract.recording import (
     LEASE,
     MODEL,
+    NOW,
     held,
     line,
     model,
@@ -59,6 +62,9 @@ def calls(job: Job) -> Mapping[str, Call]:
         "name_model": lambda jobs: jobs.name_model(MODEL, "a dog"),
         "waiting": lambda jobs: jobs.waiting(),
         "queue_counts": lambda jobs: jobs.queue_counts(),
+        "numbers": lambda jobs: jobs.numbers(),
+        "usage": lambda jobs: jobs.usage(NOW),
+        "add_tallies": lambda jobs: jobs.add_tallies([Tally("s", (), (), 1.0)]),
         "jobs_of": lambda jobs: jobs.jobs_of([job.id]),
         "undispatched": lambda jobs: jobs.undispatched(),
         "dispatched": lambda jobs: jobs.dispatched([Dispatch("attempt", job.id, 1)]),
@@ -152,7 +158,7 @@ def eventually(call: Callable[[], object]) -> object:
 
 
 def test_every_method_of_the_record_is_called_here() -> None:
-    kinds = (JobStore, ModelStore, WorkerStore)
+    kinds = (JobStore, ModelStore, UsageStore, WorkerStore)
     methods = {name for kind in kinds for name in vars(kind) if not name.startswith("_")}
     assert methods == set(calls(queued_job().claimed("w", queued_job().created_at)))
 

@@ -23,7 +23,10 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.postgres.tables import metadata
 from core.errors import Misconfigured, RecordsUnavailable
 from core.jobs.job import Job
+from core.jobs.status import JobStatus
 from core.jobs.store import Entry, Idempotency
+from core.jobs.tallies import Tally
+from core.reasons import Reason
 from tests.conftest import Databases
 from tests.contract.recording import (
     LEASE,
@@ -119,6 +122,8 @@ def fill(engine: Engine) -> Job:
     jobs.delete(gone.id, gone.version)
     sweep = jobs.add_sweep(sweep_of(), Idempotency("k", "body"))
     jobs.add_trial(sweep.id, trial_of(0, job=None), None)
+    jobs.add_tallies([Tally("series", ("label",), (1, 2), 3.0)])
+    jobs.save(held(jobs, queued_job(3)).ended(JobStatus.FAILED, Reason.DIVERGED, "", NOW))
     return published
 
 

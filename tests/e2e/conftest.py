@@ -38,11 +38,17 @@ def serving(data: Path) -> Iterator[Client]:
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory, postgres_data: Path) -> Iterator[Client]:
-    """A client of a stack with one worker."""
+def stack_folder(tmp_path_factory: pytest.TempPathFactory, postgres_data: Path) -> Path:
+    """The data folder of the stack behind `client`."""
     data = tmp_path_factory.mktemp("stack")
     shutil.copytree(postgres_data, data / "postgres" / "data")
-    with serving(data) as client:
+    return data
+
+
+@pytest.fixture(scope="module")
+def client(stack_folder: Path) -> Iterator[Client]:
+    """A client of a stack with one worker."""
+    with serving(stack_folder) as client:
         yield client
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import jax
 import numpy as np
 import psutil
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 
 from core.algorithms.ppo.policy import make_inference
 from core.algorithms.trained_policy import load_policy
@@ -158,6 +160,40 @@ def test_the_log_tells_the_story_of_a_training(client: Client, undisturbed: JobV
     ):
         assert said in told
     assert len(log) < 60
+
+
+def test_one_id_leads_from_the_request_to_the_training_process(
+    client: Client, undisturbed: JobView, stack_folder: Path
+) -> None:
+    files = list(stack_folder.rglob("*.log"))
+    lines = [line for file in files for line in file.read_text().splitlines()] + list(
+        client.logs(undisturbed.id)
+    )
+    assert undisturbed.correlation_id is not None
+    named = [
+        json.loads(line) for line in lines if line.startswith("{") and undisturbed.correlation_id in line
+    ]
+    found = {(line["service"], line["event"]) for line in named}
+    assert {
+        ("api", "job_submitted"),
+        ("api", "request_answered"),
+        ("worker", "attempt_began"),
+        ("worker", "attempt_ended"),
+        ("training", "training_process_began"),
+    } <= found
+
+
+def test_what_its_worker_timed_is_told_to_prometheus(client: Client, undisturbed: JobView) -> None:
+    text = httpx.get(f"{client.base_url}/metrics").text
+    told = {
+        sample.name: sample for family in text_string_to_metric_families(text) for sample in family.samples
+    }
+    assert told["gaitway_uploads_total"].value >= len(undisturbed.artifacts) - 1
+    assert told["gaitway_uploaded_bytes_total"].value > 0
+    phases = re.findall(r'gaitway_phase_seconds_count\{phase="(\w+)"\}', text)
+    assert {"waiting", "starting", "preparing", "compiling", "training", "drawing"} <= set(phases)
+    stores = set(re.findall(r'gaitway_worker_store_seconds_count\{store="(\w+)"\}', text))
+    assert {"postgresql", "objects"} <= stores
 
 
 def test_metrics_have_braxs_names_and_rise_in_step(client: Client, undisturbed: JobView) -> None:

@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 from core.adapters.wiring import object_store
-from core.configuration import configure_logging, read
+from core.configuration import read
 from core.settings import WorkerSettings
+from core.telemetry import configure_logging
 from worker.host.locks import slots
 from worker.host.processes import die_with_parent
 from worker.preparation.programs import prepare

@@ -22,6 +22,7 @@ from core.errors import StorageUnavailable
 from core.jobs.attempts import Claim
 from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Channel, Entry
+from core.jobs.tallies import UPLOADED_BYTES, UPLOADS, Tallies
 from core.retry import retry_while_unavailable
 from core.storage import keys
 from worker.host.disk import NotPlain, open_plain
@@ -62,7 +63,8 @@ class _Received:
 class Outbox:
     """A thread that stores messages and log lines. An outage makes it wait, never the training.
 
-    progress: the job's, from an attempt before. story: tells the log what the messages say.
+    progress: the job's, from an attempt before. story: tells the log what the messages say. tallies: count
+    the uploads.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class Outbox:
         keep_checkpoints: int,
         progress: Progress = _NO_PROGRESS,
         story: Story | None = None,
+        tallies: Tallies | None = None,
     ) -> None:
         self._failure: Exception | None = None
         self._is_abandoned = False
@@ -82,6 +85,7 @@ class Outbox:
         # The newest values that this attempt has measured.
         self._newest: dict[str, float] = {}
         self._story = story
+        self._tallies = tallies or Tallies()
         self._dropped: list[tuple[float, str]] = []
         self._waiting: queue.SimpleQueue[_Received | None] = queue.SimpleQueue()
         self._thread = Thread(target=self._work, name="outbox", daemon=True)
@@ -210,6 +214,8 @@ class Outbox:
             self._record("events", [Entry(kind="note", time=heard_at, data=data)], write_id)
             return
         seconds = time.monotonic() - began
+        self._tallies.add(UPLOADS, 1)
+        self._tallies.add(UPLOADED_BYTES, artifact.size)
         _, dropped = self._claim.publish((artifact,), self._keep_checkpoints)
         data = {
             "name": message.name,

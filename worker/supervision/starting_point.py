@@ -29,7 +29,14 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
     model has ("bad_model"), or if no checkpoint of another job is whole ("bad_checkpoint").
     """
     notes: list[str] = []
-    task = Task(job_id=job.id, attempt=claim.number, spec=job.spec, device=device, commit=commit_here())
+    task = Task(
+        job_id=job.id,
+        attempt=claim.number,
+        spec=job.spec,
+        device=device,
+        correlation_id=job.correlation_id,
+        commit=commit_here(),
+    )
     task = _as_begun(task, job.begun)
     checkpoint = _own_checkpoint(job, claim, spool, notes)
     if checkpoint is None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from core.jobs.job import Job, JobPhase, utc_now
 from core.jobs.spec import CheckpointPolicy, RolloutSpec, TrainSpec
-from worker.protocol import FileReady, Measured, Message, Noted, PhaseBegan, PhaseEnded, Started
+from worker.protocol import FileReady, Hello, Measured, Message, Noted, PhaseBegan, PhaseEnded, Started
 from worker.supervision.outcome import Outcome
 
 _WIDTH = 110
@@ -38,6 +38,8 @@ class Story:
         self._phase: JobPhase = "preparing"
         self._since = clock()
         self._seconds = defaultdict[str, float](float)
+        self._began = self._since
+        self._first_sign_s: float | None = None
 
     def begin(self) -> Iterator[str]:
         """Who does what, and why again."""
@@ -46,10 +48,14 @@ class Story:
         if number > 1 and (before := self._job.attempts[-2]).reason is not None:
             yield from timed(f"Attempt {number - 1} ended as {before.reason}: {before.message}")
         yield from timed(_asked(self._job))
+        if self._job.correlation_id is not None:
+            yield from timed(f"The logs of the service name it by the request {self._job.correlation_id}")
 
     def lines(self, message: Message) -> Iterator[str]:
         """The lines for a message; most have none."""
         match message:
+            case Hello():
+                self._first_sign_s = self._clock() - self._began
             case PhaseBegan(phase=phase):
                 self._enter(phase)
             case Started():
@@ -77,6 +83,19 @@ class Story:
         took = ", ".join(f"{phase} {seconds:.1f} s" for phase, seconds in self._seconds.items())
         yield from timed(f"Seconds by phase: {took}")
         yield from timed(ending(outcome))
+
+    def seconds(self) -> Iterator[tuple[str, float]]:
+        """How long each phase took, after `end`.
+
+        `waiting`: for a worker. `starting`: until the training process ran; a part of `preparing`.
+        """
+        attempt, before = self._job.attempts[-1], self._job.attempts[:-1]
+        since = before[-1].ended_at if before else self._job.created_at
+        if since is not None:
+            yield "waiting", max(0.0, (attempt.started_at - since).total_seconds())
+        if self._first_sign_s is not None:
+            yield "starting", self._first_sign_s
+        yield from self._seconds.items()
 
     def _enter(self, phase: JobPhase) -> None:
         now = self._clock()

@@ -26,6 +26,7 @@ from core.jobs.job import Job, utc_now
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry
+from core.jobs.tallies import PHASE_SECONDS, Report, Tallies
 from core.reasons import Reason
 from core.retry import CalledOff, retry_while_unavailable
 from core.settings import WorkerSettings
@@ -67,6 +68,7 @@ class Supervisor:
 
     draining: set, also by a signal handler, once the worker must shut down; the job then keeps a checkpoint
     and is given back. device_test: the program that tests the device after a failure that it may have caused.
+    tallies: gathers for monitoring.
     Afterwards the job has ended or is back in the queue, and no process and no spool is left.
     """
 
@@ -77,20 +79,23 @@ class Supervisor:
     command: Sequence[str] = TRAINING
     draining: Draining = field(default_factory=Draining)
     device_test: Sequence[str] | None = None
+    tallies: Tallies = field(default_factory=Tallies)
     _is_told: bool = field(default=False, init=False)
 
     def run(self) -> None:
         folder = self.settings.data_dir.absolute()  # The training process has another working directory.
         own = folder / SPOOLS / f"{self.claim.job_id}.{self.claim.number}"
         caches = Caches(self.claim.objects, self.settings, self.device, own, private(own))
+        report = Report(self.tallies, self.claim.store.add_tallies)
         try:
-            with Heartbeat(self.claim, self.settings) as heartbeat:
+            with Heartbeat(self.claim, self.settings, report.if_due) as heartbeat:
                 outcome = self._outcome(heartbeat, caches, folder, own)
                 self._tell(outcome)
                 self._conclude(outcome)
         except LeaseLost:
             log.warning("attempt_abandoned", job_id=self.claim.job_id, attempt=self.claim.number)
         caches.close(self.draining.is_set)  # The job has ended: nobody waits for this.
+        report.now()
 
     def _outcome(self, heartbeat: Heartbeat, caches: Caches, folder: Path, own: Path) -> Outcome:
         try:
@@ -129,7 +134,7 @@ class Supervisor:
         locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
         with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
             caches.open(job.spec.environment, leaving)
-            outbox = Outbox(self.claim, spool, _checkpoints_kept(job), job.progress, story)
+            outbox = Outbox(self.claim, spool, _checkpoints_kept(job), job.progress, story, self.tallies)
             outbox.put_all(story.begin())
             outbox.put(PhaseBegan(phase="preparing"))
             for note in notes:
@@ -156,6 +161,8 @@ class Supervisor:
         else:
             tracking.finish(outcome.status)
         outbox.put_all(story.end(outcome))
+        for phase, seconds in story.seconds():
+            self.tallies.add(PHASE_SECONDS, seconds, phase)
         self._is_told = True
         if not outbox.close(_STORAGE_TIMEOUT_S, self._must_leave(_LAST_S)):
             outbox.abandon()

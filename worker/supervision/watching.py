@@ -36,13 +36,19 @@ _MAX_WAITING = 20_000
 
 
 class Heartbeat:
-    """A thread that renews the lease. It waits out an outage of the store; then the token decides."""
+    """A thread that renews the lease. It waits out an outage of the store; then the token decides.
 
-    def __init__(self, claim: Claim, settings: WorkerSettings) -> None:
+    after_beat: called after each renewal.
+    """
+
+    def __init__(
+        self, claim: Claim, settings: WorkerSettings, after_beat: Callable[[], None] = lambda: None
+    ) -> None:
         self.cancelled = threading.Event()
         self.lost = threading.Event()
         self._claim = claim
         self._settings = settings
+        self._after_beat = after_beat
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
 
@@ -67,6 +73,7 @@ class Heartbeat:
             else:
                 if status == JobStatus.CANCELLING:
                     self.cancelled.set()
+                self._after_beat()
             self._over.wait(self._settings.heartbeat.total_seconds())
 
 

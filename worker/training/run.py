@@ -9,14 +9,19 @@ from collections.abc import Generator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
+import structlog
+
 from core.errors import GaitwayError, JobFailed
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.reasons import Reason
+from core.telemetry import configure_logging
 from worker.host.disk import is_full, what_to_do
 from worker.host.memory import LESS_MEMORY
 from worker.protocol import Failed, Finished, PhaseEnded, Task
 from worker.stopping import StopRequest
 from worker.training.event_writer import EventWriter
+
+log = structlog.get_logger()
 
 # XLA's word, and Warp's.
 _DEVICE_MEMORY = re.compile(
@@ -54,6 +59,10 @@ def run(spool: Path, events_fd: int, stopping: StopRequest) -> int:
     try:
         task = Task.model_validate_json((spool / "task.json").read_bytes())
         device = task.device
+        configure_logging(
+            "training", job_id=task.job_id, attempt=task.attempt, correlation_id=task.correlation_id
+        )
+        log.info("training_process_began", device=device)
         stopped = _dispatch(task, events, stopping)
     except JobFailed as error:
         events.send(Failed(reason=error.reason, message=error.detail))

@@ -57,6 +57,7 @@ const PAGES = {
   submit: "training.md",
   models: "environments/mjcf.md",
   workers: "operations.md",
+  usage: "operations.md",
 };
 
 /** The page of the documentation about a view. */

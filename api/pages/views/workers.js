@@ -1,10 +1,11 @@
 /** Workers, and the queue: what waits, and why. */
 
 import { everyItem, get } from "../lib/api.js";
-import { ago, bytes, moment } from "../lib/format.js";
+import { ago, bytes, duration, moment } from "../lib/format.js";
 import { html } from "../lib/html.js";
 import { allocated, environmentOf, title, whyQueued } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
+import { BusyHours, busyShare, percent } from "../parts/busy_hours.js";
 import { Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
 
 const STATES = { ready: "ready", testing: "tests its device", device_failed: "device set aside" };
@@ -22,23 +23,37 @@ export default function Workers({ query }) {
       <p>No worker is running, so jobs wait.</p>
       <p>Start one with <code>python -m worker.main</code>, or the whole service with <code>./run up</code>.</p>
     <//>`}
-    <div class="grid">${data.workers.map((worker) => html`<${Worker} key=${worker.name} worker=${worker} />`)}</div>
+    <div class="grid">${data.workers.map((worker) => html`<${Worker} key=${worker.name} worker=${worker} usage=${data.usage} />`)}</div>
     <${Pages} path=${["workers"]} query=${query} next=${data.next} name="Pages of workers" first="First workers" more="More workers" />
-    <${Queue} queued=${data.queued} workers=${data.all} />
+    <${Queue} queued=${data.queued} workers=${data.all} slots=${data.slots} />
   </div>`;
 }
 
 /** A page of workers, and the queue: why a job waits depends on all workers, whichever are shown. */
 async function load(cursor, signal) {
-  const [page, queued] = await Promise.all([
+  const [page, queued, slots, usage] = await Promise.all([
     get("/workers", { cursor, limit: LIMIT }, { signal }),
     get("/jobs", { status: "queued", limit: 100 }, { signal }),
+    get("/slots", {}, { signal }),
+    lastDay(signal),
   ]);
   const isWhole = !cursor && !page.next;
-  return { workers: page.items, next: page.next, all: isWhole ? page.items : await everyItem("/workers", { signal }), queued };
+  return { workers: page.items, next: page.next, all: isWhole ? page.items : await everyItem("/workers", { signal }), queued, slots, usage };
 }
 
-const Worker = ({ worker }) => html`<section class="card">
+let usage;
+let usageAt = 0;
+
+/** How busy the devices were, at most half a minute old: it changes slowly. */
+async function lastDay(signal) {
+  if (!usage || Date.now() - usageAt > 30_000) {
+    usage = await get("/usage", {}, { signal });
+    usageAt = Date.now();
+  }
+  return usage;
+}
+
+const Worker = ({ worker, usage }) => html`<section class="card">
   <h2>${worker.name}</h2>
   <dl class="facts-list">
     <dt>State</dt><dd>${state(worker)}${worker.problem ? `: ${worker.problem}` : ""}</dd>
@@ -47,8 +62,17 @@ const Worker = ({ worker }) => html`<section class="card">
     ${worker.allocation && html`<dt>Cluster</dt><dd>${allocated(worker.allocation)}</dd>`}
     <dt>Packages</dt><dd>${worker.packages?.join(", ") || "none beyond the needed"}</dd>
     <dt>Since</dt><dd>${moment(worker.started_at)}; seen ${ago(worker.seen_at)}</dd>
+    <${Busy} worker=${worker} usage=${usage} />
   </dl>
 </section>`;
+
+/** Of its device, also under workers before it. */
+function Busy({ worker, usage }) {
+  const none = usage.hours.map(() => 0);
+  const seconds = usage.devices.find(({ host, device }) => host === worker.host && device === worker.device)?.seconds || none;
+  return html`<dt>Last day</dt><dd>busy for ${percent(busyShare(usage, seconds))}
+    <${BusyHours} usage=${usage} seconds=${seconds} name=${worker.name} /></dd>`;
+}
 
 /** A job that it has just taken from the queue is not in `jobs` yet. */
 function state({ state, job, jobs }) {
@@ -58,10 +82,28 @@ function state({ state, job, jobs }) {
   return html`runs ${running.length > 1 && `${running.length} jobs: `}${links}`;
 }
 
-function Queue({ queued, workers }) {
+/** What the queue asks for, by kind of worker. */
+function Wanted({ slots }) {
+  const waiting = slots.items.filter((slot) => slot.queued > 0);
+  if (!waiting.length) return null;
+  return html`<h3>By kind of worker</h3>
+    <div class="table stacking" tabindex="0" role="region" aria-label="By kind of worker"><table>
+      <thead><tr><th>Needs</th><th class="number">Waiting</th><th class="number">Running</th><th class="number">Longest wait</th></tr></thead>
+      <tbody>${waiting.map((slot) => html`<tr key=${`${slot.accelerator}${slot.gpus}x${slot.hosts}`}>
+        <td data-label="Needs">${needs(slot)}${slot.hosts > 1 ? `, on ${slot.hosts} hosts` : ""}</td>
+        <td data-label="Waiting" class="number">${slot.queued}</td>
+        <td data-label="Running" class="number">${slot.running}</td>
+        <td data-label="Longest wait" class="number">${duration(slot.oldest_queued_s)}</td>
+      </tr>`)}</tbody>
+    </table></div>
+    <h3>Job by job</h3>`;
+}
+
+function Queue({ queued, workers, slots }) {
   const jobs = [...queued.items].reverse(); // The oldest is the next of its priority.
   return html`<section class="card"><h2>Queue</h2>
     ${!jobs.length && html`<p class="facts">Nothing waits.</p>`}
+    <${Wanted} slots=${slots} />
     ${jobs.length > 0 && html`<div class="table stacking" tabindex="0" role="region" aria-label="Queue"><table>
       <thead><tr><th>Job</th><th>Priority</th><th>Needs</th><th>Waits since</th><th>Why</th></tr></thead>
       <tbody>${jobs.map((job) => html`<tr key=${job.id}>

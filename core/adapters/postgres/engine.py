@@ -15,6 +15,7 @@ from sqlalchemy.exc import InvalidatePoolError
 from sqlalchemy.pool import ConnectionPoolEntry, NullPool, QueuePool
 
 from core.adapters.postgres.errors import Breaker, NoAnswer
+from core.adapters.timing import Observe, timed, unobserved
 from core.errors import Misconfigured
 
 # If a call takes longer, the server is stopped, cut off or overloaded.
@@ -108,8 +109,9 @@ def _refuse_closed(connection: PromptConnection, record: ConnectionPoolEntry, _:
 class Session:
     """Reaches the database for the classes with statements. The engine comes from `connect_postgres`."""
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: Engine, observe: Observe = unobserved) -> None:
         self._engine = engine
+        self._observe = observe
         self._autocommit = engine.execution_options(isolation_level="AUTOCOMMIT")
         self._breaker = Breaker()
 
@@ -117,6 +119,7 @@ class Session:
     def _transaction(self, *, is_large: bool = False) -> Generator[Connection]:
         """is_large: its statements may be slow because of their size, which says nothing to other calls."""
         with (
+            timed(unobserved if is_large else self._observe, "postgresql"),
             self._breaker.reaching(is_large=is_large),
             self._engine.connect() as connection,
             connection.begin(),
@@ -126,7 +129,11 @@ class Session:
     @contextmanager
     def _statements(self) -> Generator[Connection]:
         """Each statement is its own transaction, which saves the round trips of BEGIN and COMMIT."""
-        with self._breaker.reaching(), self._autocommit.connect() as connection:
+        with (
+            timed(self._observe, "postgresql"),
+            self._breaker.reaching(),
+            self._autocommit.connect() as connection,
+        ):
             yield connection
 
     def close(self) -> None:

@@ -24,7 +24,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.exc import DataError, IntegrityError
 
 from core.accounts.principal import Ownership
-from core.adapters.postgres import feeds, leases, listing, rows
+from core.adapters.postgres import feeds, leases, listing, rows, usage
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.tables import (
     NOW,
@@ -288,6 +288,8 @@ def _save(
         feeds.append(connection, job.id, "events", [note_entry(note)])
     if JobStatus.QUEUED in (before.status, job.status):
         leases.update_dispatch(connection, job)
+    if before.status != job.status:
+        usage.enter(connection, job, rows.status(before.status))
 
 
 def _write_attempts(connection: Connection, job_id: str, changed: Sequence[Attempt]) -> None:

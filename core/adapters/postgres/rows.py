@@ -103,6 +103,7 @@ def new_job_values(job: Job) -> Values:
         "imported_from": None if job.imported_from is None else job.imported_from.model_dump_json(),
         "owner": job.owner,
         "project": job.project,
+        "correlation_id": job.correlation_id,
     }
 
 

@@ -12,23 +12,38 @@ from core.adapters.postgres.leases import LeaseQueries
 from core.adapters.postgres.models import ModelQueries
 from core.adapters.postgres.sweeps import SweepQueries
 from core.adapters.postgres.tables import NOW, idempotency_keys, pulse, workers
+from core.adapters.postgres.usage import UsageQueries, fold
 from core.adapters.postgres.workers import WorkerQueries
+from core.adapters.timing import Observe, unobserved
 
 # Built once: it is a part of every claim.
 _SELECT_NOW = select(NOW)
 
 
 class PostgresJobStore(
-    JobQueries, LeaseQueries, FeedQueries, ModelQueries, SweepQueries, WorkerQueries, AccountQueries
+    JobQueries,
+    LeaseQueries,
+    FeedQueries,
+    ModelQueries,
+    SweepQueries,
+    UsageQueries,
+    WorkerQueries,
+    AccountQueries,
 ):
     """A SweepStore, and so a JobStore, and an AccountStore, for many processes; thread-safe.
 
     Each method is one transaction, or a few statements that are one each; the interfaces state its promises.
-    clock_age: how long `now` extrapolates from the database's last answer.
+    clock_age: how long `now` extrapolates from the database's last answer. observe: told of each call.
     """
 
-    def __init__(self, engine: Engine, *, clock_age: timedelta = timedelta(seconds=1)) -> None:
-        super().__init__(engine)
+    def __init__(
+        self,
+        engine: Engine,
+        *,
+        clock_age: timedelta = timedelta(seconds=1),
+        observe: Observe = unobserved,
+    ) -> None:
+        super().__init__(engine, observe)
         self._clock = Clock(self._time, clock_age)
 
     def now(self) -> datetime:
@@ -38,6 +53,7 @@ class PostgresJobStore(
         with self._transaction() as connection:
             connection.execute(delete(idempotency_keys).where(idempotency_keys.c.forgotten_at <= NOW))
             connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
+            fold(connection)
 
     def ping(self) -> None:
         with self._statements() as connection:

@@ -13,6 +13,8 @@ workers     the last announcement of each worker
 idempotency_keys   the submissions of the last day that came with a key
 sweeps      one row per sweep; `key_hash` is that of the idempotency key that its submission came with
 trials      one row per trial of a sweep: the primary key lets each number begin once
+usage       the ledger: what attempts took, by hour, project, user and device (`core.jobs.usage`)
+tallies     what workers count and time, summed over all of them (`core.jobs.tallies`)
 pulse       one row: when the reconciler last reached this database
 users, projects, members   who may use the service, and who sees what
 model_projects   the projects in which a model was sent, each with who sent it there first
@@ -26,9 +28,11 @@ Labels are JSONB, for their index.
 from typing import Any
 
 from sqlalchemy import (
+    ARRAY,
     BigInteger,
     Boolean,
     Column,
+    Double,
     ForeignKey,
     Identity,
     Index,
@@ -75,6 +79,7 @@ jobs = Table(
     _moment("not_before"),
     Column("progress", Text),
     Column("imported_from", Text),
+    Column("correlation_id", Text),
     Column("token", Text, nullable=False, server_default=""),
     _moment("lease_until"),
     Column("num_attempts", Integer, nullable=False, server_default="0"),
@@ -259,6 +264,30 @@ trials = Table(
 )
 Index("trials_by_job", trials.c.job_id)
 Index("trials_going", trials.c.sweep_id, postgresql_where=text("outcome IS NULL"))
+
+usage = Table(
+    "usage",
+    metadata,
+    # UTC, and the beginning of an hour.
+    Column("hour", TIMESTAMP(timezone=True), primary_key=True),
+    *(
+        Column(name, Text, primary_key=True)
+        for name in ("project", "owner", "host", "device", "status", "reason")
+    ),
+    Column("jobs", Integer, nullable=False),
+    Column("attempts", Integer, nullable=False),
+    Column("seconds", Double, nullable=False),
+    Column("gpu_seconds", Double, nullable=False),
+)
+
+tallies = Table(
+    "tallies",
+    metadata,
+    Column("series", Text, primary_key=True),
+    Column("labels", ARRAY(Text), primary_key=True),
+    Column("buckets", ARRAY(BigInteger), nullable=False),
+    Column("total", Double, nullable=False),
+)
 
 pulse = Table(
     "pulse",

@@ -1,10 +1,11 @@
 """The job queue on RQ."""
 
 import time
-from collections.abc import Collection, Mapping, Set
+from collections.abc import Callable, Collection, Mapping, Set
 from contextlib import suppress
 from datetime import timedelta
-from typing import Any
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from redis import Redis
 from redis.exceptions import RedisError
@@ -15,6 +16,7 @@ from rq.job import JobStatus as RQStatus
 from rq.serializers import JSONSerializer
 
 from core.adapters.redis.errors import reaching_redis
+from core.adapters.timing import Observe, timed, unobserved
 from core.jobs.queue import FIRST, LAST, queue_name
 from core.jobs.spec import Accelerator, Priority
 from core.previews.record import PreviewRequest
@@ -29,6 +31,23 @@ _NO_LIMIT = -1  # the supervisor keeps the deadline
 _MESSAGE, _EXECUTIONS, _FOR_EVER = "rq:job:", "rq:executions:", -1
 
 
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
+
+
+def _reaching(
+    method: Callable[Concatenate["RQQueue", Arguments], Answer],
+) -> Callable[Concatenate["RQQueue", Arguments], Answer]:
+    """Times a method, and turns Redis' errors into the service's own."""
+
+    @wraps(method)
+    def reach(queue: "RQQueue", *args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
+        with timed(queue.observe, "redis"), reaching_redis():
+            return method(queue, *args, **kwargs)
+
+    return reach
+
+
 class RQQueue:
     """A JobQueue whose workers are RQ's.
 
@@ -36,33 +55,34 @@ class RQQueue:
     a request as JSON.
     """
 
-    def __init__(self, client: "Redis") -> None:
+    def __init__(self, client: "Redis", observe: Observe = unobserved) -> None:
         self._redis: Any = client
+        self.observe = observe
 
-    @reaching_redis()
+    @_reaching
     def enqueue(
         self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
     ) -> None:
         name = queue_name(accelerator, priority, gpus)
         self._enqueue(name, _rq_id(job_id, attempt), TASK, (job_id, attempt))
 
-    @reaching_redis()
+    @_reaching
     def num_waiting(self, names: Collection[str]) -> Mapping[str, int]:
         with self._redis.pipeline(transaction=False) as pipeline:
             for name in names:
                 pipeline.llen(Queue.redis_queue_namespace_prefix + name)
             return dict(zip(names, pipeline.execute(), strict=True))
 
-    @reaching_redis()
+    @_reaching
     def contains(self, job_id: str, attempt: int) -> bool:
         return self._contains(_rq_id(job_id, attempt))
 
-    @reaching_redis()
+    @_reaching
     def known(self) -> Collection[tuple[str, int]]:
         names = (name.rpartition("_") for name in self._held())
         return {(job_id, int(attempt)) for job_id, _, attempt in names if job_id and attempt.isdecimal()}
 
-    @reaching_redis()
+    @_reaching
     def strays(self) -> Set[str]:
         # Messages that RQ keeps for a while have a time to live.
         found = [key.decode() for key in self._redis.scan_iter(f"{_MESSAGE}*", count=1000)]
@@ -73,31 +93,31 @@ class RQQueue:
             lives: list[int] = pipeline.execute()
         return {name for name, life in zip(names, lives, strict=True) if life == _FOR_EVER}
 
-    @reaching_redis()
+    @_reaching
     def drop(self, names: Collection[str]) -> None:
         self._redis.delete(*(prefix + name for name in names for prefix in (_MESSAGE, _EXECUTIONS)))
 
-    @reaching_redis()
+    @_reaching
     def remove(self, job_id: str, attempt: int) -> None:
         self._remove(_rq_id(job_id, attempt))
 
-    @reaching_redis()
+    @_reaching
     def enqueue_model(self, model_id: str) -> None:
         self._enqueue(LAST, _model_rq_id(model_id), MODEL_TASK, (model_id,))
 
-    @reaching_redis()
+    @_reaching
     def contains_model(self, model_id: str) -> bool:
         return self._contains(_model_rq_id(model_id))
 
-    @reaching_redis()
+    @_reaching
     def enqueue_preview(self, request: PreviewRequest) -> None:
         self._enqueue(FIRST, _preview_rq_id(request.id), PREVIEW_TASK, (request.model_dump_json(),))
 
-    @reaching_redis()
+    @_reaching
     def contains_preview(self, preview_id: str) -> bool:
         return self._contains(_preview_rq_id(preview_id))
 
-    @reaching_redis()
+    @_reaching
     def num_previews(self) -> int:
         waiting = Queue(FIRST, connection=self._redis, serializer=JSONSerializer).job_ids
         return sum(rq_id.startswith(_preview_rq_id("")) for rq_id in waiting)

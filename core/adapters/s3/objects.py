@@ -17,6 +17,7 @@ from minio.error import S3Error
 from core.adapters.s3.errors import meaning, reaching_s3
 from core.adapters.s3.keys import check_readable, check_writable
 from core.adapters.s3.reading import Reading
+from core.adapters.timing import Observe, timed, unobserved
 from core.errors import ObjectDamaged, ObjectNotFound, StorageRefuses
 from core.storage.objects import ObjectInfo
 
@@ -28,9 +29,10 @@ _KEPT_IN_MIND_S, _MOST_KEPT_IN_MIND = 60.0, 1000
 class S3ObjectStore:
     """An ObjectStore in one bucket; thread-safe."""
 
-    def __init__(self, client: Minio, bucket: str) -> None:
+    def __init__(self, client: Minio, bucket: str, observe: Observe = unobserved) -> None:
         self._client = client
         self._bucket = bucket
+        self._observe = observe
         self._damaged: dict[str, float] = {}  # Until when that is believed.
 
     def ensure_bucket(self) -> None:
@@ -42,7 +44,7 @@ class S3ObjectStore:
     def put(self, key: str, body: bytes, *, media_type: str = _ANY) -> None:
         check_writable(key)
         self._damaged.pop(key, None)
-        with self._reaching(key):
+        with self._timed(), self._reaching(key):
             self._client.put_object(self._bucket, key, BytesIO(body), len(body), content_type=media_type)
 
     def put_file(self, key: str, path: Path, *, media_type: str = _ANY) -> None:
@@ -78,14 +80,14 @@ class S3ObjectStore:
             raise ObjectDamaged(key, "the object store did not give its bytes in the last minute")
         end = None if length is None else start + length
         reading = Reading(self._client, self._bucket, key, start, end, size)
-        with self._noting(key):
+        with self._noting(key), self._timed():
             reading.begin()
         return self._streaming(key, reading)
 
     def info(self, key: str) -> ObjectInfo:
         check_readable(key)
         try:
-            with self._reaching(key):
+            with self._timed(), self._reaching(key):
                 found = self._client.stat_object(self._bucket, key)
         except (ObjectNotFound, StorageRefuses):
             # The answer to a HEAD has no body to say that the bucket is missing, or what is refused.
@@ -103,7 +105,7 @@ class S3ObjectStore:
 
     def delete(self, keys: Iterable[str]) -> None:
         """Remove these objects; a missing one is no error."""
-        with self._reaching():
+        with self._timed(), self._reaching():
             named = [DeleteObject(key) for key in keys]
             failures = list(self._client.remove_objects(self._bucket, named))
         if failures:
@@ -152,6 +154,10 @@ class S3ObjectStore:
                 self._damaged.clear()
             self._damaged[key] = time.monotonic() + _KEPT_IN_MIND_S
             raise
+
+    def _timed(self) -> AbstractContextManager[None]:
+        """For calls whose time hardly depends on an object's size."""
+        return timed(self._observe, "objects")
 
     def _reaching(self, key: str = "") -> AbstractContextManager[None]:
         return reaching_s3(self._bucket, key)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
+from core.jobs.job import utc_now
 from core.jobs.queue import queue_names
 from core.jobs.workers import WorkerInfo
 from core.rendering.mp4 import Mp4Writer
@@ -358,7 +359,23 @@ VIEWS = [
     "#/submit",
     "#/models",
     "#/workers",
+    "#/usage",
 ]
+
+
+def test_usage_is_shown_by_project_and_device(stack: Stack, tab: Tab) -> None:
+    ago = utc_now() - timedelta(hours=2)
+    stack.store.add(queued := job())
+    stack.store.save(queued.claimed("node1:gpu:0,1:a1b2c3", ago), lease=timedelta(minutes=1))
+    page = tab.open("#/usage")
+    row = page.get_by_role("region", name="By project and user").get_by_role("row").filter(has_text="default")
+    # Two hours on two GPUs.
+    expect(row).to_contain_text("4")
+    device = page.get_by_role("region", name="By device").get_by_role("row").filter(has_text="node1")
+    expect(device.get_by_role("img", name="node1, gpu:0,1: busy for 8 % of the last day")).to_be_visible()
+    page.get_by_label("In").select_option("the last 30 days")
+    expect(row).to_contain_text("4")
+    assert "days=30" in page.url
 
 
 @pytest.mark.timeout(300)  # Half a minute, where nobody else is at work.

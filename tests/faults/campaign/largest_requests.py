@@ -447,6 +447,8 @@ _FORMS: dict[str, Forms] = {
     "GET /environments/brax/{name}": _get(f"/environments/brax/ant?options={quote('{}'.ljust(5000))}"),
     "GET /algorithms": _get("/algorithms"),
     "GET /workers": _get("/workers?limit=200"),
+    "GET /metrics": _get("/metrics"),
+    "GET /usage": _get("/usage?since=2026-01-01T00:00:00Z"),
     "GET /slots": _get("/slots?counted_as=gpu&accelerator=gpu&gpus=64"),
     "GET /healthz": _get("/healthz"),
     "GET /readyz": _get("/readyz"),

@@ -4,7 +4,7 @@ import contextlib
 import os
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -17,6 +17,7 @@ from core.errors import RecordsUnavailable
 from core.jobs.attempts import Claim
 from core.jobs.queue import FIRST, queue_names
 from core.jobs.status import JobStatus
+from core.jobs.tallies import Tally
 from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from core.settings import WorkerSettings
@@ -44,6 +45,9 @@ class InterruptedStore:
             os.kill(os.getpid(), signal.SIGTERM)
         except Exception as error:
             raise RecordsUnavailable("another command is already in progress") from error
+
+    def add_tallies(self, tallies: Sequence[Tally]) -> None:
+        pass
 
 
 def test_a_worker_that_is_told_to_go_while_it_announces_itself_goes(settings: WorkerSettings) -> None:

@@ -21,7 +21,7 @@ from tests.unit.worker.environments import environment
 
 _RUN = """
 import sys
-from core.configuration import configure_logging
+from core.telemetry import configure_logging
 from worker.tasks import run_attempt
 configure_logging("worker")
 run_attempt(sys.argv[1], int(sys.argv[2]))

@@ -1,0 +1,172 @@
+"""The ledger, the sums of what workers count, and the numbers of the record for monitoring."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import (
+    Connection,
+    and_,
+    bindparam,
+    case,
+    delete,
+    func,
+    literal,
+    select,
+    text,
+    true,
+    tuple_,
+)
+from sqlalchemy.dialects.postgresql import insert
+
+from core.adapters.postgres.engine import Session
+from core.adapters.postgres.rows import HELD, columns
+from core.adapters.postgres.tables import NOW, UNFINISHED, attempts, jobs, pulse, tallies, usage
+from core.jobs.job import Job
+from core.jobs.status import JobStatus
+from core.jobs.tallies import Tally
+from core.jobs.usage import (
+    DEVICES_KEPT,
+    DEVICES_SHOWN,
+    HOUR,
+    Ended,
+    ProjectUsage,
+    RecordNumbers,
+    RunningAttempt,
+    UnfinishedJobs,
+    Usage,
+    beginning_of_hour,
+    entries,
+    usage_of,
+)
+
+_KEY = tuple(column.name for column in usage.primary_key)
+_SUMS = ("jobs", "attempts", "seconds", "gpu_seconds")
+# How many entries of one hour, whose hosts are forgotten, are merged at a time.
+_FOLDED_AT_ONCE = 20_000
+
+_KIND = case((usage.c.device == "", ""), (usage.c.device.like("gpu%"), "gpu"), else_="cpu")
+
+
+def _ledger(statement: Any) -> Any:
+    """An insertion that adds to the entries that are there."""
+    added = {name: usage.c[name] + statement.excluded[name] for name in _SUMS}
+    return statement.on_conflict_do_update(index_elements=_KEY, set_=added)
+
+
+_ENTER = _ledger(insert(usage))
+_SUMMED = [func.sum(usage.c[name]).label(name) for name in _SUMS]
+_ENDED = select(usage.c.project, usage.c.status, usage.c.reason, _KIND.label("device"), *_SUMMED).group_by(
+    usage.c.project, usage.c.status, usage.c.reason, _KIND
+)
+_USED = (
+    select(usage.c.project, usage.c.owner, *_SUMMED)
+    .where(usage.c.hour >= bindparam("since"))
+    .group_by(usage.c.project, usage.c.owner)
+)
+_BUSY = (
+    select(usage.c.host, usage.c.device, usage.c.hour, func.sum(usage.c.seconds).label("seconds"))
+    .where(usage.c.hour >= bindparam("since"), usage.c.device != "", usage.c.host != "")
+    .group_by(usage.c.host, usage.c.device, usage.c.hour)
+    .order_by(usage.c.host, usage.c.device)
+)
+_UNFINISHED = (
+    select(jobs.c.project, jobs.c.status, func.count().label("number"))
+    .where(jobs.c.status.in_(UNFINISHED))
+    .group_by(jobs.c.project, jobs.c.status)
+)
+_RUNNING = (
+    select(jobs.c.project, jobs.c.owner, attempts.c.worker, attempts.c.started_at)
+    .join(jobs, and_(jobs.c.id == attempts.c.job_id, jobs.c.num_attempts == attempts.c.number))
+    .where(jobs.c.status.in_(HELD))
+)
+_MOMENT = select(NOW.label("moment"), pulse.c.beat_at).select_from(
+    select(literal(1).label("one")).subquery().outerjoin(pulse, true())
+)
+
+
+# Bucket by bucket.
+_TALLY = text(
+    """
+    INSERT INTO tallies (series, labels, buckets, total) VALUES (:series, :labels, :buckets, :total)
+    ON CONFLICT (series, labels) DO UPDATE SET
+        total = tallies.total + excluded.total,
+        buckets = ARRAY(
+            SELECT coalesce(before, 0) + coalesce(more, 0)
+            FROM unnest(tallies.buckets, excluded.buckets) WITH ORDINALITY AS pairs (before, more, place)
+            ORDER BY place
+        )
+    """
+)
+
+
+def enter(connection: Connection, job: Job, before: JobStatus) -> None:
+    """Add to the ledger what a change of the job's status means for it."""
+    if new := entries(job, before):
+        connection.execute(_ENTER, [asdict(entry) for entry in new])
+
+
+def fold(connection: Connection) -> None:
+    """Merge the old entries of all hosts."""
+    old = tuple_(*(usage.c[name] for name in _KEY)).in_(
+        select(*(usage.c[name] for name in _KEY))
+        .where(usage.c.hour < NOW - DEVICES_KEPT, usage.c.host != "")
+        .limit(_FOLDED_AT_ONCE)
+    )
+    gone = delete(usage).where(old).returning(*usage.c).cte("gone")
+    kind = case((gone.c.device == "", ""), (gone.c.device.like("gpu%"), "gpu"), else_="cpu")
+    kept = [gone.c.hour, gone.c.project, gone.c.owner, literal(""), kind, gone.c.status, gone.c.reason]
+    merged = select(*kept, *(func.sum(gone.c[name]) for name in _SUMS)).group_by(*kept)
+    connection.execute(_ledger(insert(usage).from_select([*_KEY, *_SUMS], merged)))
+
+
+class UsageQueries(Session):
+    """A UsageStore."""
+
+    def numbers(self) -> RecordNumbers:
+        with self._statements() as connection:
+            moment = connection.execute(_MOMENT).one()
+            unfinished = connection.execute(_UNFINISHED).all()
+            running = _running(connection)
+            ended = connection.execute(_ENDED).all()
+            counted = connection.execute(select(tallies)).all()
+        return RecordNumbers(
+            moment=moment.moment,
+            beat_at=moment.beat_at,
+            unfinished=[UnfinishedJobs(row.project, row.status, row.number) for row in unfinished],
+            running=running,
+            ended=[Ended(**columns(row)) for row in ended],
+            tallies=[Tally(row.series, tuple(row.labels), tuple(row.buckets), row.total) for row in counted],
+        )
+
+    def usage(self, since: datetime) -> Usage:
+        since = beginning_of_hour(since)
+        with self._statements() as connection:
+            now = connection.execute(select(NOW)).scalar_one()
+            day = beginning_of_hour(now - DEVICES_SHOWN + HOUR)
+            used = connection.execute(_USED, {"since": since}).all()
+            busy = connection.execute(_BUSY, {"since": day}).all()
+            running = _running(connection)
+        devices: dict[tuple[str, str], dict[datetime, float]] = defaultdict(dict)
+        for row in busy:
+            devices[row.host, row.device][row.hour] = row.seconds
+        ended = {(row.project, row.owner): ProjectUsage(**columns(row), running=0) for row in used}
+        return usage_of(ended, devices, running, since=since, day=day, until=now)
+
+    def add_tallies(self, tallies: Sequence[Tally]) -> None:
+        if not tallies:
+            return
+        # In one order, so that two processes never wait for each other.
+        said = [asdict(tally) for tally in sorted(tallies, key=lambda tally: (tally.series, tally.labels))]
+        rows = [{**row, "labels": list(row["labels"]), "buckets": list(row["buckets"])} for row in said]
+        with self._transaction() as connection:
+            connection.execute(_TALLY, rows)
+
+
+def _running(connection: Connection) -> list[RunningAttempt]:
+    return [
+        RunningAttempt(row.project, row.owner or "", row.worker, row.started_at)
+        for row in connection.execute(_RUNNING)
+    ]
