@@ -2,6 +2,7 @@
 undisturbed run."""
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -120,7 +121,21 @@ def test_a_worker_that_is_killed_is_noticed_and_its_job_goes_on(
     allocation = where(workers.trains(job, STEPS // 4))["id"]
     workers.slurm.command("scancel", "--signal=KILL", "--full", allocation)
     ended = workers.ended(job)
-    assert [attempt.reason for attempt in ended.attempts] == ["worker_lost", "completed"]
+    # What was not killed at once still drains.
+    assert [attempt.reason for attempt in ended.attempts][-1] == "completed"
+    assert {attempt.reason for attempt in ended.attempts[:-1]} <= {"worker_lost", "worker_drained"}
+    assert result(ended) == undisturbed
+
+
+def test_a_worker_alone_that_is_killed_leaves_its_files_to_the_child_that_drains(
+    workers: World, undisturbed: Mapping[str, str]
+) -> None:
+    job = workers.submit(STEPS)
+    name = workers.trains(job, STEPS // 4).attempts[-1].worker
+    (worker,) = [one for one in workers.client.workers() if one.name == name]
+    os.kill(worker.pid, signal.SIGKILL)
+    ended = workers.ended(job)
+    assert [attempt.reason for attempt in ended.attempts] == ["worker_drained", "completed"]
     assert result(ended) == undisturbed
 
 

@@ -25,11 +25,23 @@ TEMPLATE = """#!/bin/bash
 # the script only passes it on, and waits. The tunnel ignores it: a draining worker needs the stores.
 _WORKER = """set -u
 umask 077
-data=$(mktemp -d "${SLURM_TMPDIR:-${TMPDIR:-/tmp}}/gaitway-$SLURM_JOB_ID-XXXXXX") || exit 73
-sockets=$(mktemp -d /tmp/gaitway-XXXXXX) || exit 73
+disk=${SLURM_TMPDIR:-${TMPDIR:-/tmp}}
+data=$(mktemp -d "$disk/gaitway-$SLURM_JOB_ID-XXXXXX") || exit 73
+sockets=/tmp/${data##*/}.s
+mkdir -m 700 "$sockets" || exit 73
+exec 9>"$data/lock"
+flock -n 9
+# What jobs have left that were killed: nobody holds their locks.
+find "$disk" -maxdepth 1 -user "$(id -u)" -name 'gaitway-[0-9]*-??????' -mmin +1 2>/dev/null |
+  while read -r old; do
+    [ ! -e "$old/lock" ] || (flock -n 8 && rm -rf "$old" "/tmp/${old##*/}.s") 8<>"$old/lock"
+  done
 tunnel=
 leave() {
   trap '' TERM INT USR1
+  # A worker that was killed leaves a child that still drains, and holds the lock as it does.
+  exec 9>&-
+  flock -w @LEAVING@ "$data/lock" true
   [ -z "$tunnel" ] || kill -KILL -- "-$tunnel" 2>/dev/null
   rm -rf "$data" "$sockets"
 }
@@ -73,6 +85,7 @@ done
 set -m
 (
   trap '' TERM INT USR1
+  exec 9>&-
   while :; do
     ssh -N -T -o BatchMode=yes -o ExitOnForwardFailure=yes -o ConnectTimeout=10 \\
       -o ServerAliveInterval=10 -o ServerAliveCountMax=3 \\
@@ -176,6 +189,7 @@ def _worker(kind: SlotKind, options: SlurmOptions, place: Place) -> str:
         "PORTS": " ".join(f'-e "s|@PORT{number}@|${{ports[{number}]}}|g"' for number in range(place.ports)),
         "IDLE": f"{options.idle:g}",
         "GRACE": f"{options.grace:g}",
+        "LEAVING": f"{options.grace + 15:g}",
         "START_MARGIN": f"{options.start_margin:g}",
         "DEVICE": device,
         "ENVIRONMENT": "\n".join(f"export {name}={shlex.quote(value)}" for name, value in exports.items()),
