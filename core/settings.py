@@ -242,6 +242,30 @@ class WorkerSettings(StoreSettings):
         description="What the worker runs on: cpu, gpu:INDEX, or auto for the first GPU if there is one and "
         "JAX can use it. With several GPUs (gpu:0,1 or gpu:0-3) it takes the jobs that ask for this many.",
     )
+    hosts: int = Field(
+        1,
+        ge=1,
+        le=64,
+        description="How many machines take a job together: each has a worker with this number, and they "
+        "take the jobs that ask for as many `hosts`.",
+    )
+    host_rank: int | None = Field(
+        None,
+        ge=0,
+        description="Which of these machines this is, from 0; under Slurm's srun, its SLURM_PROCID.",
+    )
+    coordinator: str | None = Field(
+        None,
+        pattern=r"^\S+:\d{1,5}$",
+        description="HOST:PORT at which the worker of machine 0 listens for those of the others; under "
+        "Slurm's srun, the first node and a port by the job's number.",
+    )
+    gang_secret: SecretStr | None = Field(
+        None,
+        min_length=16,
+        description="Secret by which the workers of several machines know each other; by default the object "
+        "store's secret key, if all of them have the same.",
+    )
     alive_file: AliveFile = None
     # The reconciler looks every second, so a lost worker is noticed within 15 s.
     lease: Lease = timedelta(seconds=14)

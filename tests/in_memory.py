@@ -11,8 +11,7 @@ from typing import IO
 
 from core.adapters.s3.keys import PIECE_BYTES, check_readable, check_writable
 from core.errors import ObjectDamaged, ObjectNotFound
-from core.jobs.queue import queue_name, queue_names
-from core.jobs.spec import Accelerator, Priority
+from core.jobs.queue import queue_names
 from core.previews.record import PreviewRequest
 from core.storage.objects import ObjectInfo
 
@@ -100,13 +99,11 @@ class MemoryJobQueue:
         self._previews: list[PreviewRequest] = []
         self._lock = Lock()
 
-    def enqueue(
-        self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
-    ) -> None:
+    def enqueue(self, job_id: str, attempt: int, *, name: str) -> None:
         dispatch = Dispatch(job_id, attempt)
         with self._lock:
             if dispatch not in self._taken:
-                self._waiting.setdefault(dispatch, queue_name(accelerator, priority, gpus))
+                self._waiting.setdefault(dispatch, name)
 
     def num_waiting(self, names: Collection[str]) -> Mapping[str, int]:
         with self._lock:
@@ -171,10 +168,10 @@ class MemoryJobQueue:
         with self._lock:
             return list(self._waiting)
 
-    def take(self, device: str = "cpu") -> Dispatch | None:
-        """The next attempt that a worker on this device would get; None if none waits."""
+    def take(self, device: str = "cpu", hosts: int = 1) -> Dispatch | None:
+        """The next attempt that a worker on this device of each host would get; None if none waits."""
         with self._lock:
-            for name in queue_names(device):
+            for name in queue_names(device, hosts):
                 for dispatch, queue in self._waiting.items():
                     if queue == name:
                         del self._waiting[dispatch]

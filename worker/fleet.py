@@ -110,6 +110,11 @@ def main(devices: Sequence[str]) -> None:
     """Serve until a SIGTERM."""
     configure_logging("fleet")
     devices = devices or [f"gpu:{index}" for index in range(len(visible_gpus()))]
+    if len(devices) > 1 and os.environ.get(variable("hosts"), "1") != "1":
+        raise Misconfigured(
+            f"{variable('hosts')} is for one worker with all GPUs of its host, and a fleet has one for each "
+            f"GPU: run `python -m worker.main` with {variable('device')}=gpu:0-3, or the like."
+        )
     if not devices:
         raise Misconfigured(
             f"No NVIDIA GPU is visible here, and a fleet is one worker for each. {REMEDY}. "

@@ -33,10 +33,12 @@ from core.jobs.job import utc_now
 from core.jobs.queue import FIRST, queue_names
 from core.jobs.store import JobStore
 from core.jobs.tallies import Report, Tallies
-from core.jobs.workers import WorkerInfo, packages_here
+from core.jobs.workers import WorkerInfo, WorkerState, packages_here
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
 from core.variables import variable
+from worker.gang.members import Gang, set_gang
+from worker.gang.place import Place, place_of
 from worker.host import device_health
 from worker.host.allocation import TimeLeft, allocation
 from worker.host.device import device_memory, device_of, visible_gpus
@@ -46,6 +48,8 @@ from worker.host.health import show_life
 from worker.host.locks import remove_free_locks, slot_names
 from worker.host.processes import PARENT, die_with_parent
 from worker.preparation.programs import IdlePreparation
+from worker.stopping import Draining
+from worker.supervision.member import GangMember
 from worker.supervision.spool import SPOOLS, record_left, remove_left_over
 from worker.supervision.watching import is_stopped
 from worker.tasks import NamedJob
@@ -76,8 +80,10 @@ class GaitwayWorker(rq.Worker):
         store: JobStore,
         health: DeviceHealth | None = None,
         tallies: Tallies | None = None,
+        gang: Gang | None = None,
     ) -> None:
         self._store = store
+        self._gang = gang
         self._tallies = tallies or Tallies()
         self._report = Report(self._tallies, store.add_tallies)
         self._objects = object_store(settings)
@@ -86,19 +92,22 @@ class GaitwayWorker(rq.Worker):
         self._data_dir = settings.data_dir
         self._horse_is_stopped = False
         self._is_announcing = False
-        self._preparation = IdlePreparation(device, settings.prepared)
+        self._preparation = IdlePreparation(device, () if gang else settings.prepared)
         self._idle_since = inf
         self._time_left = TimeLeft(settings.ends_at, settings.grace, settings.start_margin)
         self._idle_exit_s = settings.idle_exit.total_seconds() if settings.idle_exit else inf
         self._had_job_at = time.monotonic()
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
+        hosts = 1 if gang is None else gang.place.hosts
+        queues = queue_names(device, hosts)
         now = utc_now()
         self._info = WorkerInfo(
             name=name,
             host=socket.gethostname(),
             pid=os.getpid(),
             device=device,
-            queues=queue_names(device),
+            hosts=hosts,
+            queues=queues,
             memory_bytes=device_memory(device, settings.memory_limit),
             packages=packages_here(),
             allocation=allocation(os.environ) or None,
@@ -106,7 +115,7 @@ class GaitwayWorker(rq.Worker):
             seen_at=now,
         )
         super().__init__(  # pyright: ignore[reportUnknownMemberType]
-            list(queue_names(device)),
+            list(queues),
             name=name,
             # RQ sets a time limit of its own: a worker blocks while nothing is there for it.
             connection=connect_redis(settings.redis_url.get_secret_value()),
@@ -204,6 +213,8 @@ class GaitwayWorker(rq.Worker):
                 raise
             log.warning("queue_bookkeeping_waits", error=str(error))
         self.announce()
+        if self._idle_since < inf and self._gang is not None and not self._gang.look():
+            raise _HostMissing
         if time.monotonic() - self._idle_since >= _IDLE_S:
             self._preparation.go_on()
 
@@ -216,6 +227,8 @@ class GaitwayWorker(rq.Worker):
                 return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
             except _OUTAGES as error:  # RQ itself waits for nothing but a connection.
                 self._wait_for_queue(error)
+            except _HostMissing:
+                pass
             finally:
                 self._idle_since = inf
                 self._preparation.stop()
@@ -247,14 +260,23 @@ class GaitwayWorker(rq.Worker):
     def _wait_for_device(self) -> None:
         shown, shown_at = "", 0.0
         try:
-            while not self._health.is_fit():
+            while not (self._health.is_fit() and self._has_all_hosts()):
                 self._go_if_told()
-                if shown != self._health.state or time.monotonic() - shown_at > _ANNOUNCE_EVERY_S:
-                    shown, shown_at = self._health.state, time.monotonic()
+                if shown != self._shown_state or time.monotonic() - shown_at > _ANNOUNCE_EVERY_S:
+                    shown, shown_at = self._shown_state, time.monotonic()
                     self._show_idle()
                 time.sleep(_POLL_S)
         finally:
             self._health.close()
+
+    def _has_all_hosts(self) -> bool:
+        return self._gang is None or self._gang.look()
+
+    @property
+    def _shown_state(self) -> WorkerState:
+        """Whether it takes a job, or has one."""
+        is_incomplete = self._gang is not None and self._gang.problem and not self.horse_pid
+        return "incomplete" if is_incomplete and self._health.state == "ready" else self._health.state
 
     def _show_idle(self) -> None:
         try:
@@ -282,6 +304,8 @@ class GaitwayWorker(rq.Worker):
                 time.sleep(_PAUSE_S)
             else:
                 break
+        if self._gang is not None:
+            self._gang.release()
         self._clear_up()
 
     def _clear_up(self) -> None:
@@ -298,8 +322,10 @@ class GaitwayWorker(rq.Worker):
         job = self.get_current_job_id()
         news = {
             "job": job_of(job) if job else None,
-            "state": self._health.state,
-            "problem": self._health.problem,
+            "state": self._shown_state,
+            "problem": self._gang.problem
+            if self._gang and self._shown_state == "incomplete"
+            else self._health.problem,
         }
         info = self._info.model_copy(update={"seen_at": utc_now(), **news})
         self._is_announcing = True
@@ -345,6 +371,10 @@ class GaitwayWorker(rq.Worker):
                 os.kill(self.horse_pid, signal.SIGTERM)
 
 
+class _HostMissing(Exception):
+    """A host has left while the worker waits for a job."""
+
+
 def health_of(device: str, settings: WorkerSettings) -> DeviceHealth:
     """The health of a device that has not been tested yet."""
     names = slot_names(device, os.getpid())
@@ -360,6 +390,17 @@ def check_prepared(environments: Sequence[str]) -> None:
             raise Misconfigured(f"{variable('prepare')}: {error.detail}") from None
 
 
+def serve_as_member(place: Place, settings: WorkerSettings, device: str) -> None:
+    """Run this host's part of the jobs of a gang, until a SIGTERM or SIGINT."""
+    draining = Draining()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, draining.set)
+    log.info("member_started", rank=place.rank, hosts=place.hosts, leader=place.host)
+    names, health = slot_names(device, os.getpid()), health_of(device, settings)
+    GangMember(place, settings, device, names, object_store(settings), health, draining).serve()
+    health.close()
+
+
 @stopping_if_misconfigured()
 def main() -> None:
     """Serve until a SIGTERM."""
@@ -371,12 +412,19 @@ def main() -> None:
     if settings.device == "auto" and device == "cpu" and visible_gpus():
         log.warning("gpu_not_used", remedy=f"JAX cannot use it: {to_install('cuda')}.")
     check_folder(settings.data_dir)
+    place = place_of(settings)
+    if place is not None and place.rank > 0:
+        serve_as_member(place, settings, device)
+        return
     check_stores(settings)
     # Without a pool: a connection must not be shared with what is forked.
     tallies = Tallies()
     store = job_store(settings, pool_size=0, observe=tallies.observe_store)
     check_prepared(settings.prepared)
-    worker = GaitwayWorker(settings, device, store, tallies=tallies)
+    gang = None if place is None else Gang(place, device)
+    if gang is not None:
+        set_gang(gang)
+    worker = GaitwayWorker(settings, device, store, tallies=tallies, gang=gang)
     log.info("worker_started", worker=worker.name)
     try:
         worker.work(logging_level="WARNING")

@@ -127,6 +127,16 @@ class BestSoFar(Stored):
     episode_return: float
 
 
+class GangPart(Stored):
+    """The part of a process in a job that several hosts share. coordinator: the address at which that of rank
+    0 coordinates them, and bind: where it listens there; None: at all of the machine's addresses."""
+
+    hosts: int
+    rank: int
+    coordinator: str
+    bind: str | None = None
+
+
 class Task(Stored):
     """The task that the supervisor leaves in the spool, as `task.json`, for the training process.
 
@@ -137,7 +147,8 @@ class Task(Stored):
     path of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with
     the reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint,
     which `auto` then takes again. source_engine: the engine that moved the environments in another job's
-    checkpoint, which `auto` takes if no other can. commit: of the code that runs.
+    checkpoint, which `auto` takes if no other can. commit: of the code that runs. gang: None where one host
+    has the job.
     """
 
     job_id: str
@@ -156,3 +167,4 @@ class Task(Stored):
     begun_on: EngineName | None = None
     source_engine: EngineName | None = None
     commit: str | None = None
+    gang: GangPart | None = None

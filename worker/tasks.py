@@ -25,6 +25,7 @@ from core.previews.record import PreviewRequest
 from core.retry import CalledOff, pause, retry_while_unavailable
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
+from worker.gang.members import gang_here
 from worker.host import device_health
 from worker.host.allocation import allocation
 from worker.host.device import device_of
@@ -76,6 +77,10 @@ def run_attempt(job_id: str, attempt: int) -> None:
         secret=new_secret(),
         details={"allocation": where} if (where := allocation(os.environ)) else {},
     )
+    gang = gang_here()
+    if gang is not None and not gang.answers():
+        _leave_to_others(gang.problem or "A host does not answer.", draining)
+        return
     try:
         job = retry_while_unavailable(partial(store.get, job_id), called_off=draining.is_set)
         configure_logging("worker", job_id=job_id, attempt=attempt, correlation_id=job.correlation_id)
@@ -93,7 +98,10 @@ def run_attempt(job_id: str, attempt: int) -> None:
         return
     log.info("attempt_began", worker=worker)
     test = device_health.command_for(device)
-    Supervisor(claim, settings, device, places, draining=draining, device_test=test, tallies=tallies).run()
+    supervisor = Supervisor(
+        claim, settings, device, places, draining=draining, device_test=test, gang=gang, tallies=tallies
+    )
+    supervisor.run()
 
 
 def validate_model(model_id: str) -> None:

@@ -64,12 +64,14 @@ class CompiledFunctions(Generic[S]):
     """Functions that never compile again: other shapes are an error.
 
     init: the state before the first update, from a seed. epoch: see `updates_until`; it consumes the state
-    that it is given. evaluate: see `Algorithm.evaluate`.
+    that it is given. evaluate: see `Algorithm.evaluate`. whole: the state with every array whole in each
+    process, for a checkpoint.
     """
 
     init: Callable[[Any], S]
     epoch: Callable[[S, Any, Any], tuple[S, Any, Failure]]
     evaluate: Callable[[Any, jax.Array, jax.Array], EpisodeTotals]
+    whole: Callable[[S], S] = lambda state: state
 
 
 def in_phases(
@@ -99,9 +101,15 @@ def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
         jax.jit(algorithm.evaluate).lower(algorithm.evaluated(state), state.eval_key, count),
     )
 
+    if algorithm.sharding.has_other_hosts:
+        lowered = (*lowered, _gathering(algorithm, state))
+
     def compile_all() -> CompiledFunctions[S]:
-        init, epoch, evaluate = compiled_side_by_side(lowered, compiler_options())
-        return CompiledFunctions(init, epoch, algorithm.sharding.on_the_first(evaluate))
+        init, epoch, evaluate, *gather = compiled_side_by_side(lowered, compiler_options())
+        functions = CompiledFunctions(init, epoch, algorithm.sharding.on_the_first(evaluate))
+        if not gather:
+            return functions
+        return replace(functions, whole=lambda s: replace(s, **gather[0](_split_parts(algorithm, s))))
 
     return compile_all
 
@@ -144,7 +152,18 @@ def place(algorithm: Algorithm[S], state: S) -> S:
     """Put a state's arrays on the devices that share the run."""
     if algorithm.sharding.mesh is None:
         return jax.tree.map(jnp.asarray, state)
-    return jax.device_put(state, _shardings(algorithm, state))
+    return algorithm.sharding.put(state, _shardings(algorithm, state))
+
+
+def _gathering(algorithm: Algorithm[S], state: S) -> Any:
+    """The lowered program that brings what is split to every device."""
+    parts = _split_parts(algorithm, state)
+    everywhere, split = algorithm.sharding.of_axes(), algorithm.sharding.of_axes(ENVS)
+    return jax.jit(lambda x: x, in_shardings=(split,), out_shardings=everywhere).lower(parts)
+
+
+def _split_parts(algorithm: Algorithm[S], state: S) -> dict[str, Any]:
+    return {name: getattr(state, name) for name in algorithm.split_fields}
 
 
 def _where(algorithm: Algorithm[S], state: S) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -153,7 +172,8 @@ def _where(algorithm: Algorithm[S], state: S) -> tuple[dict[str, Any], dict[str,
         return {}, {}
     shardings, everywhere = _shardings(algorithm, state), algorithm.sharding.of_axes()
     both = (shardings, everywhere, everywhere)
-    return {"out_shardings": shardings}, {"in_shardings": both, "out_shardings": both}
+    init = {"in_shardings": (everywhere,), "out_shardings": shardings}
+    return init, {"in_shardings": both, "out_shardings": both}
 
 
 def _shardings(algorithm: Algorithm[S], state: S) -> Any:

@@ -6,7 +6,7 @@ more), or ask for a checkpoint of the current state.
 
 import math
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic
@@ -27,11 +27,15 @@ from core.algorithms.events import (
     Phase,
     TrainingProgress,
 )
+from core.algorithms.hosts import Hosts
 from core.algorithms.profiling import UpdateTimes, update_times
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
 from core.errors import JobFailed
 from core.reasons import Reason
+
+# Commands to the processes on other hosts, besides the number of updates at which the next epoch ends.
+_GATHER, _END = "gather", "end"
 
 
 def make_run(  # noqa: PLR0913 - all of them are named
@@ -48,7 +52,8 @@ def make_run(  # noqa: PLR0913 - all of them are named
 
     environment: one environment; the algorithm steps copies of it side by side. settings: resolved, see
     `core.algorithms.catalog.resolve`. seed: not used if the run resumes. devices: how many of JAX's devices
-    share the run; the result differs only by rounding. For the others see `Run`.
+    share the run, those of other hosts included; the result differs only by rounding. For the others see
+    `Run`.
 
     Raises Rejected where the settings, the environment or the devices do not go together;
     JobFailed("bad_model") where the environment lacks what they need; and whatever `Run` raises.
@@ -78,12 +83,16 @@ class Run(Generic[S]):
         epoch_s: float = 1.0,
     ) -> None:
         self._algorithm = algorithm
-        self._hyperparameters = jax.device_put(algorithm.hyperparameters, algorithm.sharding.of_axes())
+        self._hosts = Hosts()
+        everywhere = algorithm.sharding.of_axes()
+        self._seed = algorithm.sharding.put(algorithm.seed, everywhere)
+        self._hyperparameters = algorithm.sharding.put(algorithm.hyperparameters, everywhere)
         self._loop = TrainingLoop.of(algorithm.settings, checkpoint_every_steps, epoch_s)
         self._state: S | None = None
         self._functions: CompiledFunctions[S] | None = None
         self._lost: BodyLost | None = None
         self._has_told_lost = False
+        self._resumed_from = resume if algorithm.sharding.has_other_hosts else None
         if resume is not None:
             self._restore(resume)
 
@@ -104,7 +113,8 @@ class Run(Generic[S]):
         Raises JobFailed("diverged") at a value that is not finite; `checkpoint()` is then the state before
         the update that gave it; after a bad evaluation, the state that was evaluated.
         """
-        self._functions = functions = yield from self._prepare()
+        functions, phases = self._prepare()
+        yield from phases
         try:
             for event in self._loop.events(
                 partial(self._train, functions), partial(self._evaluate, functions)
@@ -115,6 +125,23 @@ class Run(Generic[S]):
             yield from self._newly_lost()
             raise
 
+    def follow(self) -> None:
+        """Take part, on another host, in the run of the process that pulls `events`, until that calls `end`.
+
+        Nothing else of this run may be used.
+        """
+        functions, _ = self._prepare()
+        while (command := self._hosts.next_command()) != _END:
+            if command == _GATHER:
+                jax.block_until_ready(functions.whole(self._begun))
+            else:
+                self._state = functions.epoch(self._begun, self._hyperparameters, np.int32(command))[0]
+                jax.block_until_ready(self._state.num_updates)
+
+    def end(self) -> None:
+        """Let the processes on other hosts end, which follow this run; it can then do nothing more."""
+        self._hosts.tell(_END)
+
     def evaluate(self, seed: int) -> dict[str, float]:
         """The metrics of episodes with other starts than the run's own evaluations have.
 
@@ -123,7 +150,7 @@ class Run(Generic[S]):
         state = self._begun
         if self._functions is None:
             raise RuntimeError("The run has no compiled functions before its first event.")
-        key = jax.random.fold_in(state.eval_key, seed)
+        key = jax.random.fold_in(jax.device_get(state.eval_key), seed)
         totals = self._functions.evaluate(self._algorithm.evaluated(state), key, state.num_updates)
         return self._algorithm.after_evaluation(state, jax.device_get(totals))[1]
 
@@ -139,7 +166,13 @@ class Run(Generic[S]):
 
         Valid between two events; in a run that resumes, also before the first.
         """
-        return self._algorithm.format.pack(self._algorithm.header, self._loop.progress, self._begun)
+        state = self._begun
+        if self._algorithm.sharding.has_other_hosts:
+            if self._functions is None:
+                return self._resumed_from or b""  # The other hosts are not there yet.
+            self._hosts.tell(_GATHER)
+            state = self._functions.whole(state)
+        return self._algorithm.format.pack(self._algorithm.header, self._loop.progress, state)
 
     def policy(self) -> bytes:
         """The parameters that inference needs, in the algorithm's own file format."""
@@ -163,15 +196,17 @@ class Run(Generic[S]):
         self._state = place(algorithm, state)
         self._loop.resume(progress)
 
-    def _prepare(self) -> Generator[Event, None, CompiledFunctions[S]]:
-        functions, phases = in_phases(partial(trace, self._algorithm))
+    def _prepare(self) -> tuple[CompiledFunctions[S], Sequence[Phase]]:
+        """Compile, and begin unless the run resumes."""
+        self._functions, phases = in_phases(partial(trace, self._algorithm))
+        self._hosts.meet("compiled")
         if self._state is None:
-            self._state = functions.init(self._algorithm.seed)
-        yield from phases
-        return functions
+            self._state = self._functions.init(self._seed)
+        return self._functions, phases
 
     def _train(self, functions: CompiledFunctions[S], until: int) -> dict[str, float]:
         """Train up to `until` updates; the metrics of the epoch."""
+        self._hosts.tell(str(until))
         state, sums, failure = functions.epoch(self._begun, self._hyperparameters, np.int32(until))
         self._state = state
         failure = jax.device_get(failure)

@@ -51,8 +51,12 @@ class BaseSpec(Strict):
         change nothing."""
         return ()
 
-    def check_sharing(self, num_devices: int) -> None:
-        """Raises Rejected where `num_devices` devices cannot share the run: by default, more than one."""
+    def check_sharing(self, num_devices: int, num_hosts: int = 1) -> None:
+        """Raises Rejected where `num_devices` devices, those of all hosts together, cannot share the run: by
+        default, more than one."""
+        if num_hosts > 1:
+            detail = f"{self.algorithm()} runs on one host, but the job asks for {num_hosts}."
+            raise Rejected(detail, [Problem("/resources/hosts", detail)])
         if num_devices > 1:
             detail = f"{self.algorithm()} runs on one device, but the job asks for {num_devices} GPUs."
             raise Rejected(detail, [Problem("/resources/gpus", detail)])

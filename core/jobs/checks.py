@@ -11,6 +11,7 @@ from core.jobs.job import Artifact, Job
 from core.jobs.resolved import ResolvedJob, resolve_job
 from core.jobs.source import source_artifact
 from core.jobs.spec import (
+    MOST_GPUS,
     CheckpointPolicy,
     ConstantPolicy,
     JobSpec,
@@ -40,7 +41,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
         check_physics(spec.physics, info.cannot_run)
     _check_randomization(spec, info)
     _check_video(spec, info)
-    _check_gpus(spec)
+    _check_devices(spec)
     match spec:
         case TrainSpec():
             _check_training(spec, job, store)
@@ -78,23 +79,36 @@ def _check_randomization(spec: JobSpec, info: EnvironmentInfo) -> None:
         raise Rejected(detail, [Problem("/randomization", detail)])
 
 
-def _check_gpus(spec: JobSpec) -> None:
-    if (gpus := spec.resources.gpus) == 1:
-        return
-    problems: list[Problem] = []
-    if spec.resources.accelerator == "cpu":
+def _check_devices(spec: JobSpec) -> None:
+    """Refuse GPUs and hosts that contradict each other, or that a rollout would share."""
+    resources, places = spec.resources, tuple[str, ...]()
+    gpus, hosts, detail = resources.gpus, resources.hosts, ""
+    if gpus > 1 and resources.accelerator == "cpu":
         detail = f"The job asks for {gpus} GPUs, but its accelerator is `cpu`."
-        problems = [Problem("/resources/accelerator", detail), Problem("/resources/gpus", detail)]
-    elif isinstance(spec, RolloutSpec):
-        detail = f"A rollout runs on one GPU, but the job asks for {gpus}."
-        problems = [Problem("/resources/gpus", detail)]
-    if problems:
-        raise Rejected(problems[0].detail, problems)
+        places = ("/resources/accelerator", "/resources/gpus")
+    elif hosts > 1 and isinstance(spec, RolloutSpec):
+        detail, places = f"A rollout runs on one host, but the job asks for {hosts}.", ("/resources/hosts",)
+    elif gpus > 1 and isinstance(spec, RolloutSpec):
+        detail, places = f"A rollout runs on one GPU, but the job asks for {gpus}.", ("/resources/gpus",)
+    elif hosts > 1 and resources.kind == "any":
+        detail = (
+            f"A job on {hosts} hosts must say what it needs there: `gpus`, the number on all hosts together, "
+            "or `accelerator` = `cpu`."
+        )
+        places = ("/resources/hosts",)
+    elif resources.kind == "gpu" and gpus % hosts:
+        detail = f"gpus = {gpus} is the number on all hosts together, and no multiple of hosts = {hosts}."
+        places = ("/resources/gpus", "/resources/hosts")
+    elif gpus > MOST_GPUS * hosts:
+        detail = f"{gpus} GPUs are more than {MOST_GPUS} on each host."
+        places = ("/resources/gpus",)
+    if places:
+        raise Rejected(detail, [Problem(place, detail) for place in places])
 
 
 def _check_training(spec: TrainSpec, job: ResolvedJob, store: JobStore) -> None:
     for settings in job.settings.values():
-        settings.check_sharing(spec.resources.gpus)
+        settings.check_sharing(spec.resources.num_devices, spec.resources.hosts)
     _check_seeds(spec)
     _check_memory(spec, job, store)
     if spec.source is not None:
@@ -131,6 +145,9 @@ def _check_seeds(spec: TrainSpec) -> None:
     if spec.seeds is None:
         return
     spec.algorithm.check_seeds()
+    if (hosts := spec.resources.hosts) > 1:
+        detail = f"Several seeds are trained on one device, but the job asks for {hosts} hosts."
+        raise Rejected(detail, [Problem("/seeds", detail), Problem("/resources/hosts", detail)])
     if (gpus := spec.resources.gpus) > 1:
         detail = f"Several seeds are trained on one device, but the job asks for {gpus} GPUs."
         raise Rejected(detail, [Problem("/seeds", detail), Problem("/resources/gpus", detail)])

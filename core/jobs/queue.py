@@ -11,6 +11,8 @@ from core.user_models.record import ModelQueue
 
 # The queue of previews, which come before all jobs, and that of models, which come after them.
 FIRST, LAST = "gaitway-previews", "gaitway-models"
+# The names of queues of jobs on several hosts begin like this.
+SEVERAL_HOSTS = "gaitway-hosts"
 PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
 # How many messages wait in one queue at most: more than workers take until the reconciler looks again, and so
 # few that all queues together fit into a small Redis. The record holds the rest. A submission hands itself
@@ -26,10 +28,8 @@ class JobQueue(ModelQueue, PreviewQueue, Protocol):
     Every method raises RecordsUnavailable when the queue cannot be reached.
     """
 
-    def enqueue(
-        self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
-    ) -> None:
-        """Hand this attempt to a suitable worker. Doing so twice changes nothing."""
+    def enqueue(self, job_id: str, attempt: int, *, name: str) -> None:
+        """Put this attempt into the queue of this name. Doing so twice changes nothing."""
         ...
 
     def num_waiting(self, names: Collection[str]) -> Mapping[str, int]:
@@ -63,26 +63,41 @@ def looks_at_models(queues: Collection[str]) -> bool:
     return FIRST in queues
 
 
-def queue_names(device: str) -> tuple[str, ...]:
-    """The queues a worker on this device serves, most urgent first."""
-    if (gpus := len(gpu_indices(device))) > 1:
+def queue_names(device: str, hosts: int = 1) -> tuple[str, ...]:
+    """The queues a worker on this device serves, most urgent first.
+
+    hosts: the number of machines, each with such a device, that take a job together.
+    """
+    gpus = len(gpu_indices(device))
+    if hosts > 1:
+        kind: Accelerator = "gpu" if gpus else "cpu"
+        return tuple(queue_name(kind, priority, gpus * hosts or 1, hosts) for priority in PRIORITIES)
+    if gpus > 1:
         return tuple(queue_name("gpu", priority, gpus) for priority in PRIORITIES)
     kinds: tuple[Accelerator, ...] = ("gpu", "any") if gpus else ("cpu", "any")
     return (FIRST, *(queue_name(kind, priority) for priority in PRIORITIES for kind in kinds), LAST)
 
 
-def queue_name(accelerator: Accelerator, priority: Priority, gpus: int = 1) -> str:
-    """The queue of jobs with these needs. Each number of GPUs has its own, so that no worker's GPU idles."""
-    return f"gaitway-{accelerator}{gpus if gpus > 1 else ''}-{priority}"
+def queue_name(accelerator: Accelerator, priority: Priority, gpus: int = 1, hosts: int = 1) -> str:
+    """The queue of jobs with these needs; gpus: on all hosts together.
+
+    Each number of GPUs and of hosts has its own, so that no worker's GPU idles.
+    """
+    several = f"{SEVERAL_HOSTS}{hosts}-" if hosts > 1 else "gaitway-"
+    return f"{several}{accelerator}{gpus if gpus > 1 else ''}-{priority}"
 
 
 def queue_of(job: Job) -> str:
     """The queue of the job's next attempt."""
-    return queue_name(job.accelerator, job.spec.priority, job.spec.resources.gpus)
+    resources = job.spec.resources
+    return queue_name(job.accelerator, job.spec.priority, resources.gpus, resources.hosts)
 
 
-def all_queues() -> Sequence[str]:
-    """Every queue of jobs, the most urgent first."""
+def all_queues(of_several_hosts: Collection[str] = ()) -> Sequence[str]:
+    """Every queue of jobs, the most urgent first.
+
+    of_several_hosts: the queues of jobs on several hosts that are to be among them; there could be thousands.
+    """
     one: tuple[Accelerator, ...] = ("gpu", "cpu", "any")
     return [
         name
@@ -90,5 +105,6 @@ def all_queues() -> Sequence[str]:
         for name in (
             *(queue_name(kind, priority) for kind in one),
             *(queue_name("gpu", priority, gpus) for gpus in range(2, MOST_GPUS + 1)),
+            *(name for name in sorted(of_several_hosts) if name.endswith(f"-{priority}")),
         )
     ]

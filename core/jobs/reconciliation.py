@@ -81,7 +81,7 @@ class Reconciler:
 
         One that was handed over before must be missing at two looks: at one, a worker may be taking it.
         """
-        waiting = self._queue.num_waiting(all_queues())
+        waiting = self._queue.num_waiting(all_queues(self._store.queues_of_several_hosts()))
         room = {name: MOST_WAITING - number for name, number in waiting.items() if number < MOST_WAITING}
         found = [
             dispatch

@@ -55,7 +55,7 @@ class ResolvedJob:
     @property
     def memory(self) -> Mapping[Device, MemoryNeed]:
         """`memory_on` each kind of device that the job may get; empty for a rollout. Raises Rejected."""
-        return {device: self.memory_on(device, self.spec.resources.gpus) for device in self.settings}
+        return {device: self.memory_on(device, self.spec.resources.num_devices) for device in self.settings}
 
     def memory_on(self, device: Device, num_devices: int) -> MemoryNeed:
         """The least memory that a training, with all its seeds, needs on each of its devices."""

@@ -18,7 +18,7 @@ from core.jobs.queue import LAST
 from core.jobs.spec import Accelerator
 
 # As `core.jobs.queue.queue_name` makes it.
-_QUEUE = re.compile(r"gaitway-(any|cpu|gpu)(\d*)-(?:high|normal|low)")
+_QUEUE = re.compile(r"gaitway-(?:hosts(\d+)-)?(any|cpu|gpu)(\d*)-(?:high|normal|low)")
 
 
 @dataclass(frozen=True, order=True)
@@ -64,8 +64,8 @@ def kind_of_queue(name: str | None) -> SlotKind:
         match is None
     ):  # Models, which every worker but those of several GPUs reads; or an older version's row.
         return ANY
-    accelerator = cast("Accelerator", match[1])
-    return SlotKind(accelerator, int(match[2] or 1) if accelerator == "gpu" else 0)
+    hosts, accelerator = int(match[1] or 1), cast("Accelerator", match[2])
+    return SlotKind(accelerator, int(match[3] or 1) // hosts if accelerator == "gpu" else 0, hosts)
 
 
 def wanted_slots(counts: Iterable[QueueCount]) -> list[WantedSlots]:

@@ -153,8 +153,8 @@ class VideoSpec(Strict):
         return Layout(self.width, self.height, len(self.shown), self.episodes)
 
 
-# The most GPUs of one host that one job may share.
-MOST_GPUS = 64
+# The most GPUs of one host that one job may share, and the most hosts.
+MOST_GPUS, MOST_HOSTS = 64, 64
 
 
 class ResourcesSpec(Strict):
@@ -164,9 +164,16 @@ class ResourcesSpec(Strict):
     gpus: int = Field(
         default=1,
         ge=1,
-        le=MOST_GPUS,
-        description="How many GPUs of one host share a training; where it is given, `any` means "
-        "`gpu`. num_envs and batch_size must be multiples of this number.",
+        le=MOST_GPUS * MOST_HOSTS,
+        description="How many GPUs share a training, those of all `hosts` together; where it is given, "
+        "`any` means `gpu`. num_envs and batch_size must be multiples of this number.",
+    )
+    hosts: int = Field(
+        default=1,
+        ge=1,
+        le=MOST_HOSTS,
+        description="How many machines share a training, each with an equal part of the GPUs; or each with "
+        "its CPU, where `accelerator` is `cpu`.",
     )
 
     @property
@@ -175,6 +182,11 @@ class ResourcesSpec(Strict):
         if self.accelerator == "any" and "gpus" in self.model_fields_set:
             return "gpu"
         return "gpu" if self.gpus > 1 else self.accelerator
+
+    @property
+    def num_devices(self) -> int:
+        """How many devices share the run: GPUs, or a CPU of each host."""
+        return self.hosts if self.kind == "cpu" else self.gpus
 
 
 class ResumePoint(Strict):

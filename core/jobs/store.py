@@ -304,6 +304,10 @@ class JobStore(ModelStore, UsageStore, WorkerStore, Protocol):
         """Each queue with queued or held jobs, and that of models that wait for their validation."""
         ...
 
+    def queues_of_several_hosts(self) -> Collection[str]:
+        """The queues of all queued jobs on several hosts."""
+        ...
+
     def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
         """These jobs, read at once; unknown ones are left out."""
         ...

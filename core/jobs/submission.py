@@ -167,7 +167,7 @@ def hand_over(dispatch: Dispatch, *, queue: JobQueue, job: Job | None = None) ->
         if job is None:
             queue.enqueue_model(dispatch.subject)
         else:
-            _enqueue(job, queue)
+            queue.enqueue(job.id, job.next_attempt, name=queue_of(job))
     except RecordsUnavailable as error:
         log.warning("dispatch_postponed", subject=dispatch.subject, error=error.detail)
         return False
@@ -179,16 +179,6 @@ def hand_over(dispatch: Dispatch, *, queue: JobQueue, job: Job | None = None) ->
         log.exception("dispatch_failed", subject=dispatch.subject)
         return False
     return True
-
-
-def _enqueue(job: Job, queue: JobQueue) -> None:
-    queue.enqueue(
-        job.id,
-        job.next_attempt,
-        accelerator=job.accelerator,
-        priority=job.spec.priority,
-        gpus=job.spec.resources.gpus,
-    )
 
 
 _GATHER_S = 0.1

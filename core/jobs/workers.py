@@ -15,7 +15,7 @@ from core.environments.info import Device
 from core.errors import GaitwayError
 from core.installation import to_install
 from core.jobs.job import Job
-from core.jobs.queue import queue_name
+from core.jobs.queue import queue_of
 from core.jobs.resolved import resolve_job
 from core.jobs.spec import JobSpec, TrainSpec
 from core.jobs.status import JobStatus
@@ -24,7 +24,7 @@ from core.physics.availability import PACKAGES
 # A worker names itself by its host, its device and a few random digits.
 WORKER_NAME = "[!-~]{1,200}"
 _PARTS_OF_NAME = re.compile(r"(?P<host>[^:]+):(?P<device>cpu|gpu(:[0-9,-]+)?)(:[0-9a-f]{6})?")
-WorkerState = Literal["ready", "testing", "device_failed"]
+WorkerState = Literal["ready", "testing", "device_failed", "incomplete"]
 
 
 class WorkerInfo(Stored):
@@ -32,15 +32,17 @@ class WorkerInfo(Stored):
 
     job: the one that it took from the queue. jobs: all whose attempts it runs now; no report names them, the
     store adds them. state: a `ready` worker takes jobs or has one; it takes none while it tests its device,
-    or after that has failed a test. problem: a sentence on that failure. memory_bytes: of each of its
-    devices, where known. packages: the optional packages that it has; null if a worker of an older version
-    did not report them. allocation: what the cluster that started it calls the allocation it runs in.
+    after that has failed a test, or while it lacks a host. problem: a sentence on that. hosts: how many
+    machines, each with such a device, take a job together. memory_bytes: of each device, where known.
+    packages: the optional packages that it has; null if a worker of an older version did not report them.
+    allocation: what the cluster that started it calls the allocation it runs in.
     """
 
     name: str
     host: str
     pid: int
     device: str
+    hosts: int = 1
     queues: tuple[str, ...] = ()
     job: str | None = None
     jobs: tuple[str, ...] = ()
@@ -149,14 +151,16 @@ def what_it_waits_for(job: Job, workers: Sequence[WorkerInfo]) -> str | None:
         return None
     suitable = fitting(job, workers)
     if not suitable:
-        here = sorted({worker.device for worker in workers})
+        here = sorted({_has(worker) for worker in workers})
         there = f"the workers here have {', '.join(here)}" if here else "no worker is running"
-        return f"No worker has {_needed(job, job.spec.resources.gpus)}: {there}."
+        return f"No worker has {_needed(job)}: {there}."
     able = _with_device(suitable)
     if not able:
-        return "The device of each suitable worker was set aside: " + " ".join(
-            f"{worker.name}: {worker.problem}" for worker in suitable
+        is_device = any(worker.state == "device_failed" for worker in suitable)
+        why = (
+            "The device of each suitable worker was set aside" if is_device else "Each suitable worker waits"
         )
+        return f"{why}: " + " ".join(f"{worker.name}: {worker.problem}" for worker in suitable)
     packages, memory = packages_for(job), memory_for(job.spec)
     equipped = [worker for worker in able if not _missing(worker.packages, packages)]
     if not equipped:
@@ -184,15 +188,24 @@ def why_left_to_others(job: Job, has: Collection[str], workers: Sequence[WorkerI
 
 def fitting(job: Job, workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
     """The workers that serve the job's queue."""
-    queue = queue_name(job.accelerator, job.spec.priority, job.spec.resources.gpus)
+    queue = queue_of(job)
     return [worker for worker in workers if queue in worker.queues]
 
 
 def _with_device(workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
-    return [worker for worker in workers if worker.state != "device_failed"]
+    """Those that may take the job once they are free: with a device that works, and all of their hosts."""
+    return [worker for worker in workers if worker.state not in ("device_failed", "incomplete")]
 
 
-def _needed(job: Job, gpus: int) -> str:
+def _has(worker: WorkerInfo) -> str:
+    return worker.device if worker.hosts == 1 else f"{worker.device} on each of {worker.hosts} hosts"
+
+
+def _needed(job: Job) -> str:
+    gpus, hosts = job.spec.resources.gpus, job.spec.resources.hosts
+    if hosts > 1:
+        each = f"exactly {gpus // hosts} GPU{'s' * (gpus > hosts)}" if job.accelerator == "gpu" else "a CPU"
+        return f"{each} on each of exactly {hosts} hosts"
     if gpus > 1:
         return f"exactly {gpus} GPUs"
     return {"gpu": "exactly one GPU", "cpu": "a CPU", "any": "one GPU or a CPU"}[job.accelerator]

@@ -122,16 +122,19 @@ class WorkerView(View):
     """A worker's report on itself, which it sends at every heartbeat.
 
     job: the one that it took from the queue. jobs: all whose attempts it runs now. state: a `ready` worker
-    takes jobs or has one; it takes none while it tests its device, or after that has failed a test. problem:
-    a sentence on that failure. memory_bytes: of each of its devices, where known. packages: the optional
-    packages that it has; null if a worker of an older version did not report them. allocation: what the
-    cluster that started it calls the allocation it runs in: `scheduler`, `id`, `node`, `account`.
+    takes jobs or has one; it takes none while it tests its device, after that has failed a test, or while it
+    lacks a host. problem: a sentence on that. hosts: how many machines, each with such a device, take a job
+    together. memory_bytes: of each device, where known. packages: the optional packages that it has; null if
+    a worker of an older version did not report them.
+    allocation: what the cluster that started it calls the allocation it runs in: `scheduler`, `id`, `node`,
+    `account`.
     """
 
     name: str
     host: str = ""
     pid: int = 0
     device: str = ""
+    hosts: int = 1
     queues: tuple[str, ...] = ()
     job: str | None = None
     jobs: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ from rq.serializers import JSONSerializer
 from core.adapters.rq.queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_of
 from core.adapters.wiring import connect_redis
 from core.errors import RecordsUnavailable
-from core.jobs.queue import JobQueue, queue_names
+from core.jobs.queue import JobQueue, queue_name, queue_names
 from core.jobs.reconciliation import StrayMessages
 from core.previews.record import PreviewRequest
 from gaitway.service.embedded.valkey import Valkey
@@ -26,7 +26,7 @@ OTHER = "019aa3c2f0b2-5be0c1d2e3"
 
 
 def enqueue(queue: JobQueue, job_id: str = JOB, attempt: int = 1) -> None:
-    queue.enqueue(job_id, attempt, accelerator="any", priority="normal")
+    queue.enqueue(job_id, attempt, name=queue_name("any", "normal"))
 
 
 class TestEveryQueue:
@@ -51,8 +51,8 @@ class TestEveryQueue:
     def test_what_is_known_is_told_in_one_look(self, queue: JobQueue) -> None:
         assert set(queue.known()) == set()
         for number in (1, 2):
-            queue.enqueue(JOB, number, accelerator="any", priority="normal")
-        queue.enqueue(OTHER, 1, accelerator="gpu", priority="high", gpus=2)
+            queue.enqueue(JOB, number, name=queue_name("any", "normal"))
+        queue.enqueue(OTHER, 1, name=queue_name("gpu", "high", 2))
         queue.enqueue_model("sha256:00")
         assert set(queue.known()) == {(JOB, 1), (JOB, 2), (OTHER, 1)}
         queue.remove(JOB, 1)
@@ -69,7 +69,7 @@ class TestEveryQueue:
         assert queue.num_waiting(names) == dict.fromkeys(names, 0)
         enqueue(queue, JOB, 1)
         enqueue(queue, OTHER, 1)
-        queue.enqueue(JOB, 2, accelerator="gpu", priority="high", gpus=2)
+        queue.enqueue(JOB, 2, name=queue_name("gpu", "high", 2))
         assert queue.num_waiting(names) == {names[0]: 2, names[1]: 1}
 
     def test_a_model_that_was_enqueued_is_contained_and_no_job(self, queue: JobQueue) -> None:
@@ -90,9 +90,9 @@ class TestEveryQueue:
 class TestMemory:
     def test_workers_take_the_most_urgent_that_fits_once(self) -> None:
         queue = MemoryJobQueue()
-        queue.enqueue(JOB, 1, accelerator="any", priority="low")
-        queue.enqueue(JOB, 2, accelerator="gpu", priority="high")
-        queue.enqueue(JOB, 3, accelerator="cpu", priority="normal")
+        queue.enqueue(JOB, 1, name=queue_name("any", "low"))
+        queue.enqueue(JOB, 2, name=queue_name("gpu", "high"))
+        queue.enqueue(JOB, 3, name=queue_name("cpu", "normal"))
         enqueue(queue, JOB, 3)
         assert [dispatch.attempt for dispatch in queue.waiting()] == [1, 2, 3]
         assert [queue.take("cpu"), queue.take("cpu")] == [Dispatch(JOB, 3), Dispatch(JOB, 1)]
@@ -102,7 +102,7 @@ class TestMemory:
 
     def test_so_many_gpus_as_were_asked_for_take_the_job(self) -> None:
         queue = MemoryJobQueue()
-        queue.enqueue(JOB, 1, accelerator="gpu", priority="normal", gpus=2)
+        queue.enqueue(JOB, 1, name=queue_name("gpu", "normal", 2))
         enqueue(queue, JOB, 2)
         assert queue.take("gpu:0,1,2") is None
         assert queue.take("gpu:0,1") == Dispatch(JOB, 1)
@@ -112,7 +112,7 @@ class TestMemory:
 
 class TestRQ:
     def test_a_worker_finds_the_function_the_job_and_the_attempt(self, redis_client: redis.Redis) -> None:
-        RQQueue(redis_client).enqueue(JOB, 3, accelerator="gpu", priority="high")
+        RQQueue(redis_client).enqueue(JOB, 3, name=queue_name("gpu", "high"))
         (rq_job,) = waiting(redis_client, "gaitway-gpu-high")
         assert (rq_job.func_name, tuple(rq_job.args)) == (TASK, (JOB, 3))
         # RQ must neither stop the job, nor keep its result, nor start a second copy of it.
@@ -138,7 +138,7 @@ class TestRQ:
         for accelerator in ("any", "cpu", "gpu"):
             for priority in ("high", "normal", "low"):
                 queue.enqueue(
-                    JOB, len(waiting_everywhere(redis_client)), accelerator=accelerator, priority=priority
+                    JOB, len(waiting_everywhere(redis_client)), name=queue_name(accelerator, priority)
                 )
         queue.enqueue_model(MODEL)
         assert {found.name for found in Queue.all(connection=redis_client)} <= served
@@ -147,7 +147,7 @@ class TestRQ:
     def test_a_worker_with_two_gpus_takes_what_asks_for_two_and_nobody_else_does(
         self, redis_client: redis.Redis
     ) -> None:
-        RQQueue(redis_client).enqueue(JOB, 1, accelerator="gpu", priority="low", gpus=2)
+        RQQueue(redis_client).enqueue(JOB, 1, name=queue_name("gpu", "low", 2))
         assert [len(waiting(redis_client, name)) for name in queue_names("gpu:2,3")] == [0, 0, 1]
         assert waiting_everywhere(redis_client) == []
 

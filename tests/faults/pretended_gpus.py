@@ -16,7 +16,9 @@ _over = Sharding.over
 
 
 def devices() -> list[SimpleNamespace]:
-    return [SimpleNamespace(platform="gpu", device_kind="Pretended") for _ in jax.local_devices()]
+    return [
+        SimpleNamespace(platform="gpu", device_kind="Pretended", process_index=0) for _ in jax.local_devices()
+    ]
 
 
 def over(num_devices: int, settings: PPOSpec) -> Sharding:

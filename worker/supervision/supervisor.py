@@ -31,6 +31,7 @@ from core.reasons import Reason
 from core.retry import CalledOff, retry_while_unavailable
 from core.settings import WorkerSettings
 from worker.compile_cache.session import Caches
+from worker.gang.members import Gang
 from worker.host.cgroup import memory_group
 from worker.host.child import TRAINING, TrainingProcess
 from worker.host.device_health import SUSPICIOUS, DeviceTest, mark_of, result_of, set_aside
@@ -40,6 +41,7 @@ from worker.host.memory import MemoryWatch, allowed_bytes
 from worker.protocol import Advanced, Failed, Finished, Noted, PhaseBegan, PhaseEnded
 from worker.stopping import DRAIN_SIGNAL, STOP_SIGNAL, Draining, Stop
 from worker.supervision.measurements import store_metrics
+from worker.supervision.other_hosts import OtherHosts
 from worker.supervision.outbox import Outbox
 from worker.supervision.outcome import Outcome, judge
 from worker.supervision.spool import SPOOLS, end, leave, private, spool
@@ -68,7 +70,7 @@ class Supervisor:
 
     draining: set, also by a signal handler, once the worker must shut down; the job then keeps a checkpoint
     and is given back. device_test: the program that tests the device after a failure that it may have caused.
-    tallies: gathers for monitoring.
+    gang: the other hosts, connected, where several share the job. tallies: gathers for monitoring.
     Afterwards the job has ended or is back in the queue, and no process and no spool is left.
     """
 
@@ -79,6 +81,7 @@ class Supervisor:
     command: Sequence[str] = TRAINING
     draining: Draining = field(default_factory=Draining)
     device_test: Sequence[str] | None = None
+    gang: Gang | None = None
     tallies: Tallies = field(default_factory=Tallies)
     _is_told: bool = field(default=False, init=False)
 
@@ -142,20 +145,23 @@ class Supervisor:
             tracking = Tracking(job, self.claim, spool, self.settings, outbox)
             tracking.begin()
             models = self.settings.models
+            others = OtherHosts(self.gang, outbox.put, self.settings.lease.total_seconds())
+            others.begin(spool)
             process = TrainingProcess(self.command, spool, folder, self.device, slot_fds, models)
             try:
                 readers = OutputReaders(process, outbox, caches, tracking, StallWatch(self.settings.stall))
                 memory_bytes = allowed_bytes(self.settings.memory_limit)
                 with memory_group(process.pid, memory_bytes) as group:
                     memory = MemoryWatch(memory_bytes, group=group)
-                    outcome = self._watch(process, readers, heartbeat, memory, job.spec.timeout_s)
+                    outcome = self._watch(process, readers, heartbeat, memory, job.spec.timeout_s, others)
             except BaseException:
                 tracking.abandon()
                 outbox.abandon()
                 raise
             finally:
                 process.kill()
-            outcome = self._after_test(outcome, folder, slot_fds)
+                others.end()
+            outcome = self._after_test(others.outcome(outcome), folder, slot_fds)
         if leaving():
             tracking.abandon()
         else:
@@ -184,6 +190,7 @@ class Supervisor:
         heartbeat: Heartbeat,
         memory: MemoryWatch,
         timeout_s: float,
+        others: OtherHosts,
     ) -> Outcome:
         deadline = time.monotonic() + timeout_s
         stop: Stop | None = None
@@ -192,7 +199,7 @@ class Supervisor:
             if heartbeat.lost.is_set():
                 raise LeaseLost(self.claim.job_id)
             readers.outbox.check()
-            if stop is None and (stop := self._wanted(heartbeat, deadline)) is not None:
+            if stop is None and (stop := self._wanted(heartbeat, deadline, others.is_leaving)) is not None:
                 log.info("training_stops", job_id=self.claim.job_id, why=stop)
                 process.stop(stop)
                 kill_at = time.monotonic() + self.settings.grace.total_seconds()
@@ -203,6 +210,7 @@ class Supervisor:
             for watch, reason in (
                 (readers.stall, Reason.TRAINING_STALLED),
                 (memory, Reason.OUT_OF_HOST_MEMORY),
+                (others, Reason.TRAINING_KILLED),
             ):
                 if (problem := watch.what_is_wrong(process.pid)) is not None:
                     log.warning(reason.value, job_id=self.claim.job_id, detail=problem)
@@ -257,10 +265,11 @@ class Supervisor:
             log.warning("metrics_not_kept", job_id=self.claim.job_id, error=str(error))
             return False
 
-    def _wanted(self, heartbeat: Heartbeat, deadline: float) -> Stop | None:
+    def _wanted(self, heartbeat: Heartbeat, deadline: float, is_leaving: bool) -> Stop | None:
+        """is_leaving: whether the worker of another host must shut down."""
         if heartbeat.cancelled.is_set():
             return Stop.CANCEL
-        if self.draining.is_set():
+        if self.draining.is_set() or is_leaving:
             return Stop.DRAIN
         return Stop.TIMEOUT if time.monotonic() > deadline else None
 

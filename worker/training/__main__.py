@@ -20,9 +20,10 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Sent before anything heavy is imported: from here on the job is known to run.
     os.write(events_fd, json.dumps({"type": "hello", "pid": os.getpid()}).encode() + b"\n")
-    from worker.training.run import run  # Imports JAX.
+    from worker.training.hosts import leave  # Imports JAX.
+    from worker.training.run import run
 
-    sys.exit(run(spool, events_fd, stopping))
+    leave(run(spool, events_fd, stopping))
 
 
 def _has_a_users_model(spool: Path) -> bool:

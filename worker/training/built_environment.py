@@ -28,6 +28,7 @@ from core.physics.compiled.code.kept_code import keep_code
 from core.reasons import Reason
 from worker.compile_cache.local import CACHE
 from worker.protocol import Started, Task
+from worker.training import hosts
 
 # The packages that an engine needs besides MuJoCo and MJX, by the names of the package index.
 _ENGINES_PACKAGES = {"warp": ("warp-lang",), "compiled": ("llvmlite",)}
@@ -102,9 +103,14 @@ def build_environment(task: Task) -> BuiltEnvironment:
     Raises JobFailed("bad_model") if the model lacks what the job randomises.
     """
     keep_programs()
+    if task.gang is not None:
+        hosts.join(task.gang)
     device: Device = "cpu" if task.device == "cpu" else "gpu"
-    found, num_devices = jax.devices(), len(gpu_indices(task.device)) or 1
-    if device == "gpu" and (found[0].platform != "gpu" or len(found) < num_devices):
+    found = [one for one in jax.devices() if one.process_index == jax.process_index()]
+    num_here = len(gpu_indices(task.device)) or 1
+    num_hosts = jax.process_count()
+    num_devices = num_here * num_hosts
+    if device == "gpu" and (found[0].platform != "gpu" or len(found) < num_here):
         raise JobFailed(
             Reason.DEVICE_FAILED, f"The worker serves {task.device}, but JAX finds only {_named(found)}."
         )
@@ -121,7 +127,10 @@ def build_environment(task: Task) -> BuiltEnvironment:
         why = failed.detail.removesuffix(CHOOSE_ANOTHER).strip()
         choice = replace(_choice(task, info, device, num_envs), reason=why)
         environment = _made(task, job, choice.name)
-    name = _named(found[:num_devices]) if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
+    name = _named(found[:num_here]) if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
+    if num_hosts > 1:
+        hosts.check_equal(choice.name)
+        name = f"{name}, and the same on {num_hosts - 1} other host{'s' * (num_hosts > 2)}"
     engine, reason = choice.name, choice.reason
     if info.own_physics:
         engine, reason = info.own_physics, f"{info.id} brings its own physics."

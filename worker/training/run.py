@@ -83,11 +83,14 @@ def _dispatch(task: Task, events: EventWriter, stopping: StopRequest) -> bool:
     with _without_warnings_of_warp():
         from worker.training.built_environment import build_environment
         from worker.training.roll_out import roll_out
-        from worker.training.train import train
+        from worker.training.train import follow, train
 
     events.send(PhaseEnded(name="import", seconds=time.perf_counter() - began))
     built = build_environment(task)
     match task.spec:
+        case TrainSpec() if task.gang is not None and task.gang.rank > 0:
+            follow(task, task.spec, built, events)
+            return False
         case TrainSpec():
             return train(task, task.spec, built, events, stopping)
         case RolloutSpec():

@@ -22,7 +22,7 @@ from core.algorithms.events import (
     TrainingProgress,
 )
 from core.algorithms.memory import MemoryNeed
-from core.algorithms.run import make_run
+from core.algorithms.run import Run, make_run
 from core.algorithms.seeds import make_seeds_run
 from core.algorithms.spec import BaseSpec
 from core.environments.info import Device
@@ -73,7 +73,19 @@ def train(
     held = getattr(settings, "action_repeat", 1)  # Q-learning, which lacks it, tells of no lost body.
     keep_lost = partial(keep_lost_body, built=built, action_repeat=held, events=events)
     report = Report(events, run, spec.checkpoints.every_seconds, keep_lost)
-    return _follow(run, files, videos, spec, report, stopping)
+    was_stopped = _publish_all(run, files, videos, spec, report, stopping)
+    if task.gang is not None and isinstance(run, Run):
+        run.end()
+    return was_stopped
+
+
+def follow(task: Task, spec: TrainSpec, built: BuiltEnvironment, events: EventWriter) -> None:
+    """Take part in the training that the process on another host leads, to its end."""
+    settings = built.job.settings_on(built.device)
+    check_memory(built.job.memory_on(built.device, built.num_devices), built.device)
+    run, _ = begin_or_resume(task, spec, settings, built, events)
+    if isinstance(run, Run):
+        run.follow()
 
 
 class FollowedRun(Protocol):
@@ -92,7 +104,7 @@ class FollowedRun(Protocol):
     def tables(self) -> Mapping[str, NDArray[Any]]: ...
 
 
-def _follow(  # the run, and its receivers
+def _publish_all(  # the run, and its receivers
     run: FollowedRun,
     files: PolicyFiles,
     videos: PolicyVideos | None,

@@ -8,7 +8,7 @@ import { useLive } from "../lib/live.js";
 import { BusyHours, busyShare, percent } from "../parts/busy_hours.js";
 import { Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
 
-const STATES = { ready: "ready", testing: "tests its device", device_failed: "device set aside" };
+const STATES = { ready: "ready", testing: "tests its device", device_failed: "device set aside", incomplete: "waits for its hosts" };
 
 const LIMIT = 50;
 
@@ -57,7 +57,7 @@ const Worker = ({ worker, usage }) => html`<section class="card">
   <h2>${worker.name}</h2>
   <dl class="facts-list">
     <dt>State</dt><dd>${state(worker)}${worker.problem ? `: ${worker.problem}` : ""}</dd>
-    <dt>Device</dt><dd>${worker.device}${worker.memory_bytes ? `, ${bytes(worker.memory_bytes)}` : ""}</dd>
+    <dt>Device</dt><dd>${worker.device}${worker.hosts > 1 ? ` on each of ${worker.hosts} hosts` : ""}${worker.memory_bytes ? `, ${bytes(worker.memory_bytes)}` : ""}</dd>
     <dt>Host</dt><dd>${worker.host}, process ${worker.pid}</dd>
     ${worker.allocation && html`<dt>Cluster</dt><dd>${allocated(worker.allocation)}</dd>`}
     <dt>Packages</dt><dd>${worker.packages?.join(", ") || "none beyond the needed"}</dd>
@@ -119,6 +119,7 @@ function Queue({ queued, workers, slots }) {
 }
 
 function needs(resources = {}) {
+  if (resources.hosts > 1) return `${resources.accelerator === "cpu" ? "the CPUs" : `${resources.gpus} GPUs`} of ${resources.hosts} hosts`;
   if (resources.gpus > 1) return `${resources.gpus} GPUs of one host`;
   return { cpu: "a CPU", gpu: "a GPU" }[resources.accelerator] || "any device";
 }

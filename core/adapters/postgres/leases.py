@@ -40,7 +40,7 @@ from core.adapters.postgres.tables import models as models_table
 from core.errors import LeaseLost
 from core.jobs.attempts import PAUSES
 from core.jobs.job import Job, UnreadableJob
-from core.jobs.queue import LAST, MOST_WAITING, all_queues
+from core.jobs.queue import LAST, MOST_WAITING, SEVERAL_HOSTS, all_queues
 from core.jobs.slots import QueueCount
 from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch
@@ -96,13 +96,21 @@ class LeaseQueries(Session):
     def waiting(
         self, room: Mapping[str, int] | None = None, but_not: Collection[tuple[str, int]] = ()
     ) -> Sequence[Dispatch]:
-        room = dict.fromkeys(all_queues(), MOST_WAITING) if room is None else room
+        if room is None:
+            room = dict.fromkeys(all_queues(self.queues_of_several_hosts()), MOST_WAITING)
         with self._statements() as connection:
             return [*_waiting(connection, room, but_not), *models.waiting(connection)]
 
     def queue_counts(self) -> Sequence[QueueCount]:
         with self._statements() as connection:
             return [QueueCount(*row) for row in connection.execute(_queue_counts())]
+
+    def queues_of_several_hosts(self) -> Collection[str]:
+        # Bounds that the index `jobs_queued` can use, whatever the database's order of characters.
+        among = and_(jobs.c.queue >= SEVERAL_HOSTS, jobs.c.queue < "gaitway-i")
+        wanted = select(jobs.c.queue).where(jobs.c.status == "queued", among).distinct()
+        with self._statements() as connection:
+            return list(connection.execute(wanted).scalars())
 
     def undispatched(self) -> Sequence[Dispatch]:
         of_jobs = dispatches.outerjoin(jobs, dispatches.c.subject.collate("C") == jobs.c.id)

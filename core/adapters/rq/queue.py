@@ -17,8 +17,7 @@ from rq.serializers import JSONSerializer
 
 from core.adapters.redis.errors import reaching_redis
 from core.adapters.timing import Observe, timed, unobserved
-from core.jobs.queue import FIRST, LAST, queue_name
-from core.jobs.spec import Accelerator, Priority
+from core.jobs.queue import FIRST, LAST
 from core.previews.record import PreviewRequest
 
 TASK = "worker.tasks.run_attempt"
@@ -60,10 +59,7 @@ class RQQueue:
         self.observe = observe
 
     @_reaching
-    def enqueue(
-        self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
-    ) -> None:
-        name = queue_name(accelerator, priority, gpus)
+    def enqueue(self, job_id: str, attempt: int, *, name: str) -> None:
         self._enqueue(name, _rq_id(job_id, attempt), TASK, (job_id, attempt))
 
     @_reaching

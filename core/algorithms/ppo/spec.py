@@ -208,8 +208,8 @@ class PPOSpec(BaseSpec):
         adapts = self.learning_rate_schedule == "ADAPTIVE_KL"
         return ("random_initial_episode_length", *(("learning_rate",) if adapts else ()))
 
-    def check_sharing(self, num_devices: int) -> None:
-        """Devices share environments and minibatches in equal parts."""
+    def check_sharing(self, num_devices: int, num_hosts: int = 1) -> None:
+        """Devices share environments and minibatches in equal parts, whatever hosts they belong to."""
         problems = [
             Problem(
                 f"/algorithm/{name}",

@@ -13,6 +13,7 @@ from core.adapters.rq.queue import RQQueue
 from core.adapters.startup import exercise_queue
 from core.adapters.wiring import connect_redis
 from core.errors import Misconfigured, RecordsRefuse, RecordsUnavailable
+from core.jobs.queue import queue_name
 from gaitway.service.embedded.valkey import Valkey
 
 
@@ -64,7 +65,7 @@ def test_a_refusal_in_the_midst_of_a_pipeline_is_known_too(redis_client: redis.R
         configured(redis_client, "min-replicas-to-write", "1"),
         pytest.raises(RecordsUnavailable, match="min-replicas-to-write"),
     ):
-        queue.enqueue("019aa3c2f0b1-5be0c1d2e3", 1, accelerator="any", priority="normal")
+        queue.enqueue("019aa3c2f0b1-5be0c1d2e3", 1, name=queue_name("any", "normal"))
 
 
 def test_a_replica_is_named(redis_client: redis.Redis) -> None:

@@ -421,6 +421,44 @@ def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -
             ["/resources/gpus"],
         ),
         (
+            {"resources": {"gpus": 65}},
+            "65 GPUs are more than 64 on each host",
+            ["/resources/gpus"],
+        ),
+        (
+            {"resources": {"gpus": 3, "hosts": 2}},
+            "gpus = 3 is the number on all hosts together, and no multiple of hosts = 2",
+            ["/resources/gpus", "/resources/hosts"],
+        ),
+        (
+            {"resources": {"hosts": 2}},
+            "A job on 2 hosts must say what it needs there",
+            ["/resources/hosts"],
+        ),
+        (
+            {"kind": "rollout", "policy": {"kind": "zero"}, "resources": {"gpus": 2, "hosts": 2}},
+            "A rollout runs on one host, but the job asks for 2",
+            ["/resources/hosts"],
+        ),
+        (
+            {"resources": {"gpus": 2, "hosts": 2}, "algorithm": {"kind": "sac"}},
+            "sac runs on one host, but the job asks for 2",
+            ["/resources/hosts"],
+        ),
+        (
+            {"resources": {"accelerator": "cpu", "hosts": 2}, "seeds": [1, 2]},
+            "Several seeds are trained on one device, but the job asks for 2 hosts",
+            ["/seeds", "/resources/hosts"],
+        ),
+        (
+            {
+                "resources": {"accelerator": "cpu", "hosts": 3},
+                "algorithm": {"num_envs": 8, "batch_size": 6, "num_minibatches": 4},
+            },
+            "num_envs = 8 is not a multiple of the 3 devices",
+            ["/algorithm/num_envs"],
+        ),
+        (
             # 6 × 4 = 24 unrolls of 8 environments go together, but neither 6 nor 8 are shared by four or
             # three.
             {"resources": {"gpus": 4}, "algorithm": {"num_envs": 8, "batch_size": 6, "num_minibatches": 4}},
@@ -434,13 +472,25 @@ def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -
         ),
     ],
 )
-def test_gpus_that_cannot_share_a_job_are_refused_with_the_places(
+def test_devices_that_cannot_share_a_job_are_refused_with_the_places(
     fields: dict[str, Any], sentence: str, pointers: list[str], service: Service
 ) -> None:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
     with pytest.raises(Rejected, match=sentence) as caught:
         submit(spec, store=service.store, queue=service.queue)
     assert [problem.pointer for problem in caught.value.problems] == pointers
+
+
+def test_only_workers_of_as_many_hosts_take_a_job_for_several(service: Service) -> None:
+    job = service.submit(resources={"gpus": 4, "hosts": 2})
+    service.queue.remove(job.id, 1)
+    service.reconcile()
+    service.reconcile()
+    assert service.queue.take("gpu:0-3") is service.queue.take("gpu:0,1") is None
+    assert service.queue.take("gpu:0-3", hosts=2) is service.queue.take("cpu", hosts=2) is None
+    dispatch = service.queue.take("gpu:0,1", hosts=2)
+    assert dispatch is not None
+    assert (dispatch.job_id, dispatch.attempt) == (job.id, 1)
 
 
 def test_a_job_for_two_gpus_waits_for_them_however_often_it_is_dispatched(service: Service) -> None:

@@ -55,10 +55,11 @@ def test_a_video_has_a_size_that_can_be_encoded(field: str, value: Any) -> None:
     ]
 
 
-@pytest.mark.parametrize("gpus", [0, 65, 1.5, "2", None])
-def test_a_job_asks_for_one_to_64_gpus(gpus: Any) -> None:
-    assert refused({"kind": "train", "environment": "ant", "resources": {"gpus": gpus}}) == [
-        ("train", "resources", "gpus")
+@pytest.mark.parametrize("number", [0, 4097, 1.5, "2", None])
+@pytest.mark.parametrize("field", ["gpus", "hosts"])
+def test_a_job_asks_for_a_number_of_gpus_and_hosts(field: str, number: Any) -> None:
+    assert refused({"kind": "train", "environment": "ant", "resources": {field: number}}) == [
+        ("train", "resources", field)
     ]
 
 

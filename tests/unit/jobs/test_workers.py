@@ -13,16 +13,16 @@ from core.reasons import Reason
 from tests.unit.jobs.making import NOON, make_job
 
 
-def worker(device: str, state: WorkerState = "ready", **has: Any) -> WorkerInfo:
+def worker(device: str, state: WorkerState = "ready", hosts: int = 1, **has: Any) -> WorkerInfo:
     return WorkerInfo(
-        **has,
+        **{"problem": "A test of the device gpu:0 failed." if state == "device_failed" else None, **has},
         name=f"host:{device}",
+        hosts=hosts,
         host="host",
         pid=1,
         device=device,
-        queues=queue_names(device),
+        queues=queue_names(device, hosts),
         state=state,
-        problem="A test of the device gpu:0 failed." if state == "device_failed" else None,
         started_at=NOON,
         seen_at=NOON,
     )
@@ -65,6 +65,28 @@ def test_devices_that_were_set_aside_are_named_unless_another_worker_fits() -> N
         "The device of each suitable worker was set aside: host:gpu:0: A test of the device gpu:0 failed."
     )
     assert what_it_waits_for(job, [failed, worker("gpu:1", "testing")]) is None
+
+
+@pytest.mark.parametrize(
+    ("resources", "needed"),
+    [
+        ({"gpus": 4, "hosts": 2}, "exactly 2 GPUs on each of exactly 2 hosts"),
+        ({"gpus": 3, "hosts": 3}, "exactly 1 GPU on each of exactly 3 hosts"),
+        ({"accelerator": "cpu", "hosts": 2}, "a CPU on each of exactly 2 hosts"),
+    ],
+)
+def test_a_job_for_several_hosts_says_that_no_worker_has_as_many(
+    resources: dict[str, object], needed: str
+) -> None:
+    told = what_it_waits_for(make_job(resources=resources), [worker("gpu:0,1"), worker("gpu:0,1", hosts=4)])
+    assert told == f"No worker has {needed}: the workers here have gpu:0,1, gpu:0,1 on each of 4 hosts."
+
+
+def test_a_worker_that_waits_for_its_hosts_is_named() -> None:
+    job, missing = make_job(resources={"gpus": 4, "hosts": 2}), "1 of 2 hosts are here; missing: rank 1."
+    incomplete = worker("gpu:0,1", "incomplete", hosts=2, problem=missing)
+    assert what_it_waits_for(job, [incomplete]) == f"Each suitable worker waits: host:gpu:0,1: {missing}"
+    assert what_it_waits_for(job, [incomplete, worker("gpu:2,3", hosts=2)]) is None
 
 
 @pytest.mark.parametrize(
