@@ -393,7 +393,7 @@ def check_prepared(environments: Sequence[str]) -> None:
 def serve_as_member(place: Place, settings: WorkerSettings, device: str) -> None:
     """Run this host's part of the jobs of a gang, until a SIGTERM or SIGINT."""
     draining = Draining()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1):
         signal.signal(number, draining.set)
     log.info("member_started", rank=place.rank, hosts=place.hosts, leader=place.host)
     names, health = slot_names(device, os.getpid()), health_of(device, settings)

@@ -36,13 +36,19 @@ def hosts(tmp_path: Path, job_store: PostgresJobStore) -> Iterator[Hosts]:
     assert _processes("spool") == []
 
 
-def test_both_hosts_take_part_and_the_log_has_the_lines_of_both(hosts: Hosts) -> None:
+def test_both_hosts_take_part_and_the_log_has_the_lines_of_both(
+    hosts: Hosts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PROBE_WAITS_FOR", str(tmp_path / "go"))
     two = hosts(probe("succeeds"))
-    done = two.run(two.bench.submit(**ON_TWO), probe("succeeds"))
+    job = two.bench.submit(**ON_TWO)
+    thread = threading.Thread(target=two.supervisor(job, probe("is_filmed")).run)
+    thread.start()
+    wait_until(lambda: any(line.endswith(", rank 1] a line of the log") for line in two.bench.printed(job)))
+    (tmp_path / "go").touch()
+    thread.join(20)
+    done = two.bench.store.get(job.id)
     assert (done.status, done.reason) == (JobStatus.SUCCEEDED, Reason.COMPLETED), done.message
-    lines = two.bench.printed(done)
-    assert "a line of the log" in lines
-    assert any(line.endswith(", rank 1] a line of the log") for line in lines)
 
 
 @pytest.mark.parametrize(

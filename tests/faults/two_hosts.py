@@ -71,6 +71,6 @@ class TwoHosts:
 
     def close(self) -> None:
         self.draining.set()
-        self._thread.join(30)
         self.gang.close()
+        self._thread.join(30)
         assert not self._thread.is_alive()

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from tests import probes
+from tests.kept_programs import keep_programs
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 from worker.protocol import GangPart
 from worker.training import hosts
@@ -56,4 +57,5 @@ def trained(rank: int, num_timesteps: int, resume: bytes | None = None) -> Mappi
 
 
 if __name__ == "__main__":
+    keep_programs()
     main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3], Path(sys.argv[4]))
