@@ -22,7 +22,7 @@ BUDGETS: dict[str, float] = {
     "e2e": 180,
     "unit/environments": 150,
     "unit/worker": 140,
-    "learning": 140,
+    "learning": 175,
     "faults": 100,
     "api": 130,
     "api/pages": 90,
