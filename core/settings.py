@@ -199,7 +199,7 @@ class ApiSettings(StoreSettings):
         "answers on this machine alone, and everybody there may do everything.",
     )
     requests_per_second: float = Field(
-        200.0,
+        500.0,
         gt=0,
         description="How many requests a second one token may make in each process, on average over ten "
         "seconds; further ones are answered 429, with the time to wait.",
@@ -209,6 +209,13 @@ class ApiSettings(StoreSettings):
         None,
         description="GAITWAY_REDIS_URL as workers on other machines reach it, for `GET /workers/settings`; "
         "by default the same.",
+    )
+    worker_s3_secure: bool | None = Field(
+        None,
+        description="Whether these workers use TLS to the object store; by default as GAITWAY_S3_SECURE.",
+    )
+    worker_tls_ca: Authorities | None = Field(
+        None, description="GAITWAY_TLS_CA for these workers; by default the same."
     )
     worker_s3_endpoint: Address | None = Field(
         None,

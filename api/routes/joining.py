@@ -62,18 +62,20 @@ def read_worker_settings(service: ServiceDep) -> WorkerSettingsView:
         "s3_endpoint": endpoint,
         **_s3(settings),
     }
-    authority = None if settings.tls_ca is None else settings.tls_ca.read_text()
+    authority = settings.worker_tls_ca or settings.tls_ca
     return WorkerSettingsView(
-        variables={variable(field): value for field, value in found.items()}, tls_ca=authority
+        variables={variable(field): value for field, value in found.items()},
+        tls_ca=None if authority is None else authority.read_text(),
     )
 
 
 def _s3(settings: ApiSettings) -> dict[str, str]:
+    is_secure = settings.s3_secure if settings.worker_s3_secure is None else settings.worker_s3_secure
     found = {
         "s3_access_key": settings.s3_access_key,
         "s3_secret_key": settings.s3_secret_key.get_secret_value(),
         "s3_bucket": settings.s3_bucket,
-        "s3_secure": str(settings.s3_secure).lower(),
+        "s3_secure": str(is_secure).lower(),
         "s3_style": settings.s3_style,
         "redis_without_password": str(settings.redis_without_password).lower(),
     }

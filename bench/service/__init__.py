@@ -1,4 +1,5 @@
-"""The service: submissions, lists among a million jobs, load with feeds, the page, the largest requests.
+"""The service: submissions, what accounts add, lists among a million jobs, load with feeds, the page, the
+largest requests.
 
 The embedded stack's servers, the requests and the measuring share the machine.
 """
@@ -8,7 +9,7 @@ from importlib import import_module
 
 from bench.summary import Figure
 
-PARTS = ("submissions", "lists", "load", "page", "largest")
+PARTS = ("submissions", "accounts", "lists", "load", "page", "largest")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -18,14 +18,14 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.job import Job, new_job_id
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
-from core.jobs.store import JobQuery
+from core.jobs.store import JobQuery, Whose
 from gaitway.service.embedded.postgres import Postgres
 
 _LEASE = timedelta(seconds=15)
 # Ended jobs of each kind, environment and status, a second apart.
 _FILL = """
 INSERT INTO jobs (id, version, kind, environment, name, labels, spec, status, reason, created_at, finished_at,
-                  num_attempts)
+                  num_attempts, owner, project)
 SELECT lpad(to_hex(1700000000000 + i::bigint * 31000), 12, '0') || '-' || lpad(to_hex(i), 10, '0'), 4,
        CASE WHEN i % 5 = 0 THEN 'rollout' ELSE 'train' END,
        (ARRAY['ant', 'humanoid', 'hopper', 'rodent', 'walker2d'])[1 + i % 5],
@@ -36,7 +36,8 @@ SELECT lpad(to_hex(1700000000000 + i::bigint * 31000), 12, '0') || '-' || lpad(t
             ELSE '{"kind": "train", "environment": {"id": "ant"}, "seed": ' || i % 10 || '}' END,
        CASE WHEN i % 20 = 0 THEN 'failed' WHEN i % 31 = 0 THEN 'cancelled' ELSE 'succeeded' END,
        CASE WHEN i % 20 = 0 THEN 'diverged' WHEN i % 31 = 0 THEN 'user_cancelled' ELSE 'completed' END,
-       now() - interval '1 second' * (:count - i), now() - interval '1 second' * (:count - i), 1
+       now() - interval '1 second' * (:count - i), now() - interval '1 second' * (:count - i), 1,
+       'u' || i % 7, 'p' || i % 50
 FROM generate_series(1, :count) AS i
 """
 _FILL_ATTEMPTS = """
@@ -49,7 +50,13 @@ SELECT id, files.name, 1, 'checkpoint', 'application/octet-stream', 1000000, rep
        'jobs/' || id || '/attempts/1/0000000000000000/' || files.name, 100
 FROM jobs, (VALUES ('checkpoint-100.msgpack'), ('video.mp4'), ('metrics.jsonl')) AS files (name)
 """
+_LAB = ("p1", "p2", "p3")
 _QUERIES = {
+    "three projects, one's own first": JobQuery(whose=Whose(projects=_LAB, first="u3")),
+    "an owner": JobQuery(whose=Whose(owner="u3")),
+    "an owner without any (none)": JobQuery(whose=Whose(projects=_LAB, owner="nobody")),
+    "a project without any, somebody first (none)": JobQuery(whose=Whose(projects=("empty",), first="u9")),
+    "three projects and a status": JobQuery(whose=Whose(projects=_LAB, first="u3"), status=JobStatus.FAILED),
     "no filter": JobQuery(),
     "status=failed": JobQuery(status=JobStatus.FAILED),
     "kind=rollout": JobQuery(kind="rollout"),

@@ -30,6 +30,14 @@ host all all ::1/128 scram-sha-256
 hostssl all all all scram-sha-256
 """
 _DATABASE, _REDIS, _S3 = "GAITWAY_DATABASE_URL", "GAITWAY_REDIS_URL", "GAITWAY_S3_ENDPOINT"
+# What the API hands to workers elsewhere, by what it is called there.
+_FOR_WORKERS = {
+    _DATABASE: "GAITWAY_WORKER_DATABASE_URL",
+    _REDIS: "GAITWAY_WORKER_REDIS_URL",
+    _S3: "GAITWAY_WORKER_S3_ENDPOINT",
+    "GAITWAY_S3_SECURE": "GAITWAY_WORKER_S3_SECURE",
+}
+_WORKER_AUTHORITY = "GAITWAY_WORKER_TLS_CA"
 _PASSED_ON = (
     "GAITWAY_TLS_CA",
     _DATABASE,
@@ -53,12 +61,31 @@ def setup(folder: Path, environ: Mapping[str, str], database_password: Path = DA
     if share := environ.get("GAITWAY_SHARE"):
         _certify(folder, database_password.parent, share)
     wanted = own_stores(keys, environ, Hosts("postgres", "valkey", "objects"))
-    for name in _PASSED_ON:
+    wanted |= _for_workers(folder, keys, environ)
+    for name in (*_PASSED_ON, *_FOR_WORKERS.values(), _WORKER_AUTHORITY):
         file = folder / name.lower()
         if name in wanted:
             write_private(file, wanted[name])
         else:  # Settings that the user has named since then must not be mixed with our old values.
             file.unlink(missing_ok=True)
+
+
+def _for_workers(folder: Path, keys: Mapping[str, str], environ: Mapping[str, str]) -> dict[str, str]:
+    """The settings that the API hands to workers elsewhere; none unless the stores are shared at an address.
+
+    Their user of PostgreSQL is one of its own, which the reconciler makes.
+    """
+    try:
+        shared = _shared_address(environ.get("GAITWAY_SHARE", ""))
+    except ValueError:
+        return {}
+    stores = own_stores(keys, environ, Hosts(shared, shared, shared), with_tls=True)
+    password: str = remembered(folder / "worker-database-password.json", lambda: secrets.token_urlsafe(32))
+    found = {there: stores[here] for here, there in _FOR_WORKERS.items() if here in stores}
+    if _DATABASE in stores:
+        at = stores[_DATABASE].rpartition("@")[2]
+        found[_FOR_WORKERS[_DATABASE]] = f"postgresql://gaitway_worker:{password}@{at}"
+    return {**found, _WORKER_AUTHORITY: str(SECRETS / _AUTHORITY)}
 
 
 def _certify(folder: Path, database_folder: Path, address: str) -> None:

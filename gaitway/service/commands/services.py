@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import sys
+from collections.abc import MutableMapping
 from pathlib import Path
 from typing import Annotated
 
@@ -66,28 +67,31 @@ def worker(
     """Run a worker; settings come from GAITWAY_… or, with --server, from a service."""
     require("worker", "rq", "redis", "minio", "jax", "mujoco")
     if server is not None:
-        _ask_for_settings(server)
+        joined(server, os.environ)
     _become("worker.main", context.args)
 
 
-def _ask_for_settings(server: str) -> None:
-    """Put what the service says into the environment; what is there already stays. The token leaves it."""
+def joined(server: str, environ: MutableMapping[str, str]) -> None:
+    """Put what the service says of its stores among the variables; those that are there stay.
+
+    The token leaves them: nothing that a worker starts needs it.
+    """
     from gaitway.client import Client
     from gaitway.local import user_data_folder
 
-    if not os.environ.get(VARIABLE):
+    token = environ.pop(VARIABLE, "").strip()
+    if not token:
         raise wrong_usage(f"Put a token of the scope `worker` into {VARIABLE}; an admin makes one.")
-    with Client(server) as client:
+    with Client(server, token=token) as client:
         settings = client.worker_settings()
-    del os.environ[VARIABLE]  # Nothing that this starts needs it.
-    folder = Path(os.environ.setdefault("GAITWAY_DATA_DIR", str(user_data_folder() / "worker")))
+    folder = Path(environ.setdefault("GAITWAY_DATA_DIR", str(user_data_folder() / "worker")))
     folder.mkdir(parents=True, exist_ok=True)
-    if settings.tls_ca is not None and "GAITWAY_TLS_CA" not in os.environ:
+    if settings.tls_ca is not None and "GAITWAY_TLS_CA" not in environ:
         authority = folder / "ca.pem"
         authority.write_text(settings.tls_ca)
-        os.environ["GAITWAY_TLS_CA"] = str(authority)
+        environ["GAITWAY_TLS_CA"] = str(authority)
     for name, value in settings.variables.items():
-        os.environ.setdefault(name, value)
+        environ.setdefault(name, value)
 
 
 def require(extra: str, *modules: str) -> None:

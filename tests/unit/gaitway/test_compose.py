@@ -135,6 +135,25 @@ def test_a_worker_elsewhere_is_told_the_shared_address_and_to_verify_it(tmp_path
     assert set(told) <= names()
 
 
+def test_the_api_hands_out_shared_stores_with_a_user_that_sees_jobs_alone(tmp_path: Path) -> None:
+    shared = {"GAITWAY_SHARE": "192.0.2.7"}
+    compose.setup(tmp_path, shared, tmp_path / "database.password")
+    found = {file.name.upper(): file.read_text() for file in tmp_path.glob("gaitway_worker_*")}
+    assert set(found) <= names()
+    database = found["GAITWAY_WORKER_DATABASE_URL"]
+    assert database.startswith("postgresql://gaitway_worker:")
+    assert database.endswith("@192.0.2.7:5432/gaitway?sslmode=verify-full")
+    assert (tmp_path / "database.password").read_text() not in database
+    assert found["GAITWAY_WORKER_REDIS_URL"].startswith("rediss://:")
+    assert found["GAITWAY_WORKER_S3_ENDPOINT"] == "192.0.2.7:8333"
+    assert found["GAITWAY_WORKER_S3_SECURE"] == "true"
+    assert found["GAITWAY_WORKER_TLS_CA"] == "/run/gaitway/ca.pem"
+    compose.setup(tmp_path, shared, tmp_path / "database.password")
+    assert (tmp_path / "gaitway_worker_database_url").read_text() == database
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
+    assert list(tmp_path.glob("gaitway_worker_*")) == []
+
+
 def test_a_worker_elsewhere_finds_its_authority_where_its_container_has_it(tmp_path: Path) -> None:
     told = compose.join(tmp_path, {"GAITWAY_SHARE": "192.0.2.7"}, tmp_path / "database.password")
     added = yaml.safe_load((ROOT / "deploy/own-ca.yml").read_text())["services"]
