@@ -108,7 +108,7 @@ class Authenticator:
     async def principal(self, request: Request) -> Principal:
         """Who makes it, which counts. Raises Unauthenticated, TooManyRequests, RecordsUnavailable."""
         principal = await self.of_request(request)
-        self._limit.count(principal.token or "")
+        self._limit.count(principal.token or f"user {principal.user}")
         return principal
 
     async def of_request(self, request: Request) -> Principal:

@@ -1,23 +1,26 @@
 """Users, projects, tokens and the audit log; and who one is."""
 
+import re
+from collections.abc import Callable
 from datetime import timedelta
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request
-from pydantic import Field, TypeAdapter
+from pydantic import AfterValidator, Field, TypeAdapter
 
 from api.access import Forbidden, PrincipalDep, actor_of
 from api.dependencies import QueryParameters, ServiceDep
 from api.problems import MalformedBody, UnsupportedMediaType, refusals
 from api.submissions import JsonBody, parse
 from api.views import Listing
-from core.accounts.principal import DEFAULT_PROJECT, AccountName, Principal, Role, TokenScope
+from core.accounts.principal import DEFAULT_PROJECT, NAME, AccountName, Principal, Role, TokenScope
 from core.accounts.store import Token, User
-from core.accounts.tokens import new_secret
+from core.accounts.tokens import TOKEN_ID, new_secret
 from core.documents import Strict
 from core.errors import (
     Conflict,
     LastAdmin,
+    NotFound,
     Problem,
     ProjectExists,
     ProjectNotFound,
@@ -31,7 +34,30 @@ from core.jobs.spec import Text
 from gaitway.schema import AuditView, NewTokenView, ProjectView, TokenView, UserView, WhoView
 
 router = APIRouter(tags=["accounts"])
-_NAME = Path(max_length=63, examples=["ann"])
+
+
+def _named(pattern: str, missing: Callable[[str], NotFound]) -> Any:
+    """A name in a path. The format is only documented: a validator answers a wrong one with 404."""
+
+    def check(text: str) -> str:
+        if re.fullmatch(pattern, text) is None:
+            raise missing(text[:64])
+        return text
+
+    return AfterValidator(check)
+
+
+UserName = Annotated[
+    str, Path(examples=["ann"], json_schema_extra={"pattern": f"^{NAME}$"}), _named(NAME, UserNotFound)
+]
+ProjectName = Annotated[
+    str, Path(examples=["gaits"], json_schema_extra={"pattern": f"^{NAME}$"}), _named(NAME, ProjectNotFound)
+]
+TokenId = Annotated[
+    str,
+    Path(examples=["5be0c1d2e3f4"], json_schema_extra={"pattern": f"^{TOKEN_ID}$"}),
+    _named(TOKEN_ID, TokenNotFound),
+]
 
 
 class AccountsOff(Conflict):
@@ -187,7 +213,7 @@ def _check_no_more(wanted: NewToken, principal: Principal) -> None:
     responses=refusals(AccountsOff, TokenNotFound, RecordsUnavailable),
 )
 def revoke_token(
-    token_id: Annotated[str, Path(max_length=64, examples=["5be0c1d2e3f4"])],
+    token_id: TokenId,
     request: Request,
     service: ServiceDep,
     principal: PrincipalDep,
@@ -232,7 +258,7 @@ def add_user(body: JsonBody, request: Request, service: ServiceDep, principal: P
     responses=refusals(*_REFUSED, UserNotFound, LastAdmin),
 )
 def change_user(
-    name: Annotated[str, _NAME],
+    name: UserName,
     body: JsonBody,
     request: Request,
     service: ServiceDep,
@@ -275,7 +301,7 @@ def add_project(
     responses=refusals(*_REFUSED, ProjectNotFound),
 )
 def change_members(
-    name: Annotated[str, _NAME],
+    name: ProjectName,
     body: JsonBody,
     request: Request,
     service: ServiceDep,

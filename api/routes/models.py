@@ -219,7 +219,8 @@ def read_model(model_id: ModelId, service: ServiceDep, principal: PrincipalDep) 
 )
 def delete_model(model_id: ModelId, service: ServiceDep, principal: PrincipalDep) -> None:
     """Delete a model that no unfinished job needs; other projects to which it was sent, too, keep it."""
-    owners = service.store.owners_of_models([model_id]).get(model_id, ())
+    record = library.find(model_id, service.store)
+    owners = service.store.owners_of_models([record.id]).get(record.id, ())
     projects = [
         one.project for one in owners if principal.may_change(one.owner) and principal.sees(one.project)
     ]

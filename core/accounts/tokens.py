@@ -11,7 +11,8 @@ import secrets
 from dataclasses import dataclass
 
 _PREFIX = "gaitway"
-_TOKEN = re.compile(rf"{_PREFIX}_([0-9a-f]{{12}})_([A-Za-z0-9_-]{{43}})")
+TOKEN_ID = "[0-9a-f]{12}"  # noqa: S105 # Public, and a pattern.
+_TOKEN = re.compile(rf"{_PREFIX}_({TOKEN_ID})_([A-Za-z0-9_-]{{43}})")
 
 
 @dataclass(frozen=True, repr=False)

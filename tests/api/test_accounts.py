@@ -287,6 +287,20 @@ def test_an_admin_keeps_users_and_projects(lab: Lab) -> None:
     assert {"ann", "cat", "root"} <= {one["name"] for one in root.get("/users").json()["items"]}
 
 
+@pytest.mark.parametrize("wrong", ["%00", "x" * 300, "..%2Fjobs"])
+def test_a_name_that_nothing_can_have_is_not_found(lab: Lab, wrong: str) -> None:
+    for user in ("root", "ann"):
+        client = lab.of(user)
+        assert client.delete(f"/tokens/{wrong}").status_code == 404
+        for path in ("jobs", "sweeps", "models"):
+            assert client.get(f"/{path}/{wrong}").status_code == 404
+            assert client.delete(f"/{path}/{wrong}").status_code == 404
+    assert lab.of("root").patch(f"/users/{wrong}", json={"active": True}).status_code == 404
+    assert lab.of("root").patch(f"/projects/{wrong}", json={}).status_code == 404
+    environment = {"id": "mjcf", "options": {"model": "\0"}}
+    problem(lab.of("ann").post("/jobs", json={**JOB, "environment": environment}), 422, "invalid-request")
+
+
 def test_the_audit_log_says_who_did_what(lab: Lab) -> None:
     named = {"X-Request-ID": "from-the-test"}
     job_id = lab.of("ann").post("/jobs", json=JOB, headers=named).json()["id"]

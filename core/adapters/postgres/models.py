@@ -110,7 +110,9 @@ class ModelQueries(Session):
             raise ModelNotFound(model_id) from None
 
     def owners_of_models(self, model_ids: Collection[str]) -> Mapping[str, Sequence[Ownership]]:
-        wanted = select(model_projects).where(model_projects.c.model_id.in_(model_ids))
+        # PostgreSQL takes no U+0000, and no model has one.
+        ids = [one for one in model_ids if "\0" not in one]
+        wanted = select(model_projects).where(model_projects.c.model_id.in_(ids))
         found: dict[str, list[Ownership]] = defaultdict(list)
         with self._statements() as connection:
             for row in connection.execute(wanted.order_by(model_projects.c.project)):

@@ -1,6 +1,7 @@
 """The records of sweeps and of their trials."""
 
 import json
+import re
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NoReturn
@@ -17,7 +18,7 @@ from core.adapters.postgres.jobs import KEYS_REMEMBERED, add_job, hashed
 from core.adapters.postgres.listing import Part
 from core.adapters.postgres.tables import NOW, jobs, sweeps, trials
 from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound, TooManySweeps
-from core.jobs.job import Job
+from core.jobs.job import JOB_ID, Job
 from core.jobs.store import ANYBODYS, Idempotency, Whose
 from core.sweeps.spec import SWEEP_SPEC
 from core.sweeps.sweep import Sweep, SweepMark, SweepPage, SweepStatus, Trial
@@ -50,6 +51,8 @@ class SweepQueries(Session):
 
     def owner_of_sweep(self, sweep_id: str) -> Ownership:
         wanted = select(sweeps.c.owner, sweeps.c.project).where(sweeps.c.id == sweep_id)
+        if re.fullmatch(JOB_ID, sweep_id) is None:
+            raise SweepNotFound(sweep_id[:64])
         with self._statements() as connection:
             row = connection.execute(wanted).first()
         if row is None:

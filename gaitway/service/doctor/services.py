@@ -129,7 +129,7 @@ def api() -> Check:
     try:
         with Client(url, timeout_s=5, retry=Retry(attempts=1)) as client:
             client.health()
-            who = client.whoami()
+            told = _who(client)
     except errors.Unauthenticated as error:
         return Check(
             "api", "fail", f"{url} is ready, but lets you do nothing: {error}", "Run `gaitway login`."
@@ -140,5 +140,13 @@ def api() -> Check:
         return Check("api", "fail", str(error), remedy)
     except ValueError:
         return Check("api", "fail", f"The server at {url} is not a Gaitway service.", remedy)
-    told = f"you are {who.user}, a {who.role}" if who.accounts else "it has no accounts"
-    return Check("api", "pass", f"{url} is ready; {told}")
+    return Check("api", "pass", f"{url} is ready{told}")
+
+
+def _who(client: Client) -> str:
+    """Who one is there, as the end of a sentence. Raises Unauthenticated."""
+    try:
+        who = client.whoami()
+    except (errors.NotFound, ValueError):  # An older service, which has no accounts either.
+        return ""
+    return f"; you are {who.user}, a {who.role}" if who.accounts else ""
