@@ -64,7 +64,7 @@ def test_a_lab_in_ten_minutes(lab: Lab) -> None:
     shown = succeeded(gaitway(lab, "show", job, token=eve))
     assert "dan, in the project gaits" in shown
     assert "dan" in succeeded(gaitway(lab, "jobs", "--owner", "dan", "--project", "gaits", token=eve))
-    assert "role submitter" in gaitway(lab, "cancel", job, token=eve).stderr
+    assert "a token of the scope submit" in gaitway(lab, "cancel", job, token=eve).stderr
     assert gaitway(lab, "show", job, token=lab.token("bob").text).exit_code == 1
     assert "dan, eve" in succeeded(gaitway(lab, "projects", "list"))
     assert "You are eve" in succeeded(gaitway(lab, "whoami", token=eve))
@@ -108,7 +108,7 @@ def test_the_client_raises_what_it_may_not_do(lab: Lab) -> None:
         assert list(client.list(owner="ann", project="a")) == []
 
 
-def test_a_worker_asks_a_service_for_its_settings(lab: Lab, tmp_path: Path) -> None:
+def test_a_worker_asks_a_service_for_its_settings(lab: Lab) -> None:
     named = {
         "worker_database_url": SecretStr("postgresql://worker:word@db.lab/gaitway"),
         "worker_redis_url": SecretStr("redis://:word@redis.lab/0"),
@@ -121,7 +121,7 @@ def test_a_worker_asks_a_service_for_its_settings(lab: Lab, tmp_path: Path) -> N
     assert by_tunnel["GAITWAY_DATABASE_URL"] == "postgresql://worker:word@db.lab/gaitway"
     assert by_tunnel["GAITWAY_S3_ENDPOINT"] == "127.0.0.1:7"
     assert credentials.VARIABLE not in by_tunnel
-    assert Path(by_tunnel["GAITWAY_DATA_DIR"]).is_relative_to(tmp_path)
+    assert Path(by_tunnel["GAITWAY_DATA_DIR"]).is_dir()
     with pytest.raises(typer.Exit):
         joined(url, {})
     with pytest.raises(Forbidden, match="scope worker"):

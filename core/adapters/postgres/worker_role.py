@@ -26,6 +26,7 @@ RIGHTS = {
     "models": "SELECT, UPDATE",
     "workers": _ALL,
     "pulse": "SELECT",
+    "usage": "SELECT, INSERT, UPDATE",
 }
 
 
