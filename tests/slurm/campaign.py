@@ -30,8 +30,8 @@ cpus = 2
 mem = "2G"
 {limit}
 """
-_STEPS = 480_000
-_SEEDS = range(3)
+_STEPS = 320_000
+_SEEDS = range(2)
 _AT_WORK = 3
 _PAUSES_S = (2.0, 9.0)
 

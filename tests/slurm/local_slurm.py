@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
@@ -102,6 +103,9 @@ class LocalSlurm:
     def __exit__(self, *_: object) -> None:
         if "slurmctld" in self._processes:
             self.command("scancel", "--user=root", check=False)
+            # Without the controller nobody would end what is left of them.
+            with suppress(TimeoutError):
+                wait_until(lambda: not self.jobs(), self._times["kill_wait_s"] + 10)
         for name in list(self._processes):
             self.stop(name)
         if self._munge is not None:
