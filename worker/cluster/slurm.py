@@ -104,7 +104,7 @@ class Slurm:
     def explain(self, allocation: Allocation) -> str:
         words = last_words(self._logs / f"{allocation.id}.log")
         told = (
-            f"Its last line: {words}" if words else f"It printed nothing ({self._logs}/{allocation.id}.log)."
+            f"Its last line: {words}" if words else f"It printed nothing ({self._logs / allocation.id}.log)."
         )
         if allocation.node and _NO_GPU in words:
             self._leave_out(allocation.node)
@@ -140,8 +140,8 @@ def last_words(log: Path) -> str:
             lines = file.read().decode(errors="replace").splitlines()
     except OSError:
         return ""
-    # Slurm's own line says that the job was ended, and not why the worker has.
-    told = [line.strip() for line in lines if line.strip() and not line.startswith("slurmstepd:")]
+    # Slurm's own lines come after the worker's.
+    told = [line.strip() for line in lines if line.strip() and not line.startswith("slurmstepd")]
     for line in reversed(told):
         with suppress(ValueError, TypeError, KeyError):
             said = json.loads(line)
