@@ -6,7 +6,7 @@ from typing import Literal, Protocol
 
 from core.jobs.slots import SlotKind
 
-AllocationState = Literal["pending", "running", "ending"]
+AllocationState = Literal["pending", "stuck", "running", "ending"]
 
 
 class SchedulerAway(Exception):
@@ -21,7 +21,8 @@ class LaunchRefused(Exception):
 class Allocation:
     """A worker that the scheduler was asked for. node: where it runs, once it does.
 
-    reason: why it is pending, in the scheduler's words.
+    state: one that is `stuck` has not begun, and will not soon: it is held, or waits after a requeue.
+    reason: why it has not begun, in the scheduler's words.
     """
 
     id: str
@@ -46,7 +47,8 @@ class Launcher(Protocol):
         """Call off the allocations that are still pending; others go on. Raises SchedulerAway."""
         ...
 
-    def explain(self, allocation: Allocation) -> str:
-        """A sentence on an allocation that ended before its worker had begun. A launcher that finds its node
-        to blame starts nothing more there for a while, and says so."""
+    def explain(self, allocation: Allocation) -> str | None:
+        """A sentence on an allocation that ended by itself before its worker had begun; None where the
+        scheduler or a person ended it. A launcher that finds its node to blame starts nothing more there for
+        a while, and says so."""
         ...

@@ -30,9 +30,9 @@ from core.jobs.store import JobStore
 from core.settings import StoreSettings
 from core.variables import variable
 from worker.cluster.checks import problems
-from worker.cluster.launcher import Launcher, LaunchRefused, SchedulerAway
+from worker.cluster.launcher import Allocation, Launcher, LaunchRefused, SchedulerAway
 from worker.cluster.options import SlurmOptions, Tunnel
-from worker.cluster.scale import Decision, Limits, Memory, Seen, decide, refused, unknown
+from worker.cluster.scale import Decision, Limits, Memory, Seen, decide, lost, refused, unknown
 from worker.cluster.script import Place, script_of
 from worker.cluster.slurm import Slurm, name_of
 from worker.cluster.stores import StoresThere, is_local, through_tunnel, write_settings
@@ -147,12 +147,24 @@ class Loop:
             return
         self._asked_at, self._wanted_then = self.clock(), queued
         seen = Seen(self.clock(), wanted, allocations, workers)
+        self._explain(lost(seen, self.memory))
         decision, self.memory = decide(seen, self.memory, self.limits)
         self._tell(decision)
         self._do(decision)
         self._is_coming = bool(decision.starts) or any(one.id not in self.memory.heard for one in allocations)
-        if not decision.failed and not decision.unserved and not self.memory.failures:
+        if not decision.unserved and not self.memory.failures:
             self._said.clear()
+
+    def _explain(self, ended: Sequence[Allocation]) -> None:
+        """Say why they failed, and let their kinds pause. What Slurm or a person has ended did not fail."""
+        failed = [(one, why) for one in ended if (why := self.launcher.explain(one)) is not None]
+        for one, why in failed:
+            where = f" on {one.node}" if one.node else ""
+            self.say(
+                f"Slurm job {one.id} ({name_of(one.kind)}) ended{where} before its worker had begun. {why}"
+            )
+        for kind in {one.kind for one, _ in failed}:
+            self.memory = refused(self.memory, kind, self.clock())
 
     def _is_due(self, queued: object) -> bool:
         silence_s = self.clock() - self._asked_at
@@ -161,12 +173,6 @@ class Loop:
         return silence_s >= (_ASK_WHILE_COMING_S if queued or self._is_coming else _ASK_AT_REST_S)
 
     def _tell(self, decision: Decision) -> None:
-        for one in decision.failed:
-            where = f" on {one.node}" if one.node else ""
-            self.say(
-                f"Slurm job {one.id} ({name_of(one.kind)}) ended{where} before its worker had begun. "
-                f"{self.launcher.explain(one)}"
-            )
         for slots in decision.unserved:
             self._say_once(
                 f"Jobs of the kind {name_of(slots.kind)} wait: {slots.queued}. The options name only "

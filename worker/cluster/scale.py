@@ -3,8 +3,8 @@
 A worker without a job ends by itself, so nothing here ends one that runs. What is decided:
 
 - A queued job that no idle worker and no allocation on its way will take gets an allocation.
-- A pending allocation that no job wants for a while is called off.
-- A kind pauses after its allocations were refused, or ended before their workers were heard of: 10 s, and
+- A pending allocation that no job wants for a while is called off; one that is stuck, at once.
+- A kind pauses after its allocations were refused, or failed before their workers were heard of: 10 s, and
   twice as long each time, up to ten minutes.
 """
 
@@ -69,50 +69,46 @@ class Memory:
 
 @dataclass(frozen=True)
 class Decision:
-    """starts: how many of each kind. stops: allocations to call off. failed: allocations that ended before
-    their workers were heard of. unserved: queued jobs of kinds that cannot be started."""
+    """starts: how many of each kind. stops: allocations to call off. unserved: queued jobs of kinds that
+    cannot be started."""
 
     starts: Mapping[SlotKind, int]
     stops: Sequence[str]
-    failed: Sequence[Allocation]
     unserved: Sequence[WantedSlots]
 
 
+def lost(seen: Seen, memory: Memory) -> list[Allocation]:
+    """The allocations that have ended since the last look before their workers were heard of."""
+    listed = {one.id for one in seen.allocations}
+    expected = listed | memory.heard | memory.called_off
+    return [one for one in memory.alive.values() if one.id not in expected]
+
+
 def decide(seen: Seen, memory: Memory, limits: Limits) -> tuple[Decision, Memory]:
-    """What to do now, and what to remember of it."""
-    alive = {one.id: one for one in seen.allocations if one.state != "ending"}
+    """What to do now, and what to remember of it. Kinds whose allocations failed were `refused` before."""
+    listed = {one.id: one for one in seen.allocations}
+    alive = {one.id: one for one in seen.allocations if one.state in ("pending", "running")}
     idle, heard = _workers(seen, alive)
     coming = [one for one in alive.values() if one.id not in heard]
-    lost = [
-        one
-        for one in memory.alive.values()
-        if one.id not in {now.id for now in seen.allocations}
-        and one.id not in memory.heard
-        and one.id not in memory.called_off
-    ]
+    works = {alive[one].kind for one in heard - memory.heard}
+    stuck = [one.id for one in seen.allocations if one.state == "stuck"]
     memory = replace(
         memory,
-        alive={one.id: one for one in seen.allocations},
-        heard=frozenset(heard | memory.heard) & {one.id for one in seen.allocations},
-        called_off=memory.called_off & {one.id for one in seen.allocations},
-        failures={
-            kind: number
-            for kind, number in memory.failures.items()
-            if kind not in {alive[one].kind for one in heard - memory.heard}
-        },
+        alive=listed,
+        heard=(memory.heard | heard) & listed.keys(),
+        called_off=(memory.called_off | set(stuck)) & listed.keys(),
+        failures={kind: number for kind, number in memory.failures.items() if kind not in works},
     )
-    for kind in {one.kind for one in lost}:
-        memory = refused(memory, kind, seen.now_s)
     demand = _demand(seen.wanted, idle, limits)
     on_their_way = Counter(one.kind for one in coming)
     starts = _starts(demand, on_their_way, seen, memory, limits, alive.values())
     stops, memory = _stops(demand, on_their_way, coming, seen.now_s, memory, limits)
     unserved = [one for one in seen.wanted if one.queued and _served(one.kind, limits) not in limits.kinds]
-    return Decision(starts, stops, lost, unserved), memory
+    return Decision(starts, [*stuck, *stops], unserved), memory
 
 
 def refused(memory: Memory, kind: SlotKind, now_s: float) -> Memory:
-    """After a refusal, or an allocation that came to nothing: the kind pauses."""
+    """After a refusal, or an allocation that failed: the kind pauses."""
     number = memory.failures.get(kind, 0) + 1
     pause_s = min(_LONGEST_PAUSE_S, _FIRST_PAUSE_S * 2 ** min(number - 1, 10))
     return replace(

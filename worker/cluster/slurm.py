@@ -49,6 +49,10 @@ _MOST_EXCLUDED = 20
 # Of the sentence with which a worker refuses a device that is not there (worker/host/device.py).
 _NO_GPU = "NVIDIA GPU"
 
+# Why a job waits that has run already, or cannot run: Slurm lets one that is requeued wait for minutes, and
+# holds one that it could not start on a node.
+_STUCK = re.compile("BeginTime|held|NeverSatisfied|BadConstraints", re.IGNORECASE)
+
 Script = Callable[[SlotKind, str, Sequence[str]], str]
 
 
@@ -101,8 +105,11 @@ class Slurm:
         if answer.returncode != 0 and _AWAY.search(answer.stderr):
             raise SchedulerAway(sentence(answer.stderr))
 
-    def explain(self, allocation: Allocation) -> str:
-        words = last_words(self._logs / f"{allocation.id}.log")
+    def explain(self, allocation: Allocation) -> str | None:
+        log = self._logs / f"{allocation.id}.log"
+        words = last_words(log)
+        if _was_cancelled(log) or not (allocation.node or log.exists()):  # Perhaps before it had begun.
+            return None
         told = (
             f"Its last line: {words}" if words else f"It printed nothing ({self._logs / allocation.id}.log)."
         )
@@ -126,7 +133,9 @@ class Slurm:
         kind = self._kinds.get(name.removeprefix(self._prefix).rpartition("-")[0])
         if kind is None:  # Another configuration of this service has started it.
             return None
-        return Allocation(job, kind, _STATES.get(state, "ending"), node, reason)
+        now = _STATES.get(state, "ending")
+        is_stuck = now == "pending" and _STUCK.search(reason) is not None
+        return Allocation(job, kind, "stuck" if is_stuck else now, node, reason)
 
     def _asked(self, *command: str, stdin: str = "") -> subprocess.CompletedProcess[str]:
         return ask(command, stdin, self._timeout_s)
@@ -148,6 +157,14 @@ def last_words(log: Path) -> str:
             if said["event"] == "misconfigured":
                 return str(said["detail"])[:1000]
     return told[-1][:1000] if told else ""
+
+
+def _was_cancelled(log: Path) -> bool:
+    """Whether Slurm ended it: by scancel, for a time limit, a preemption or a node that failed."""
+    try:
+        return "CANCELLED AT" in log.read_text(errors="replace")[-8192:]
+    except OSError:
+        return False
 
 
 def ask(

@@ -11,7 +11,7 @@ from core.jobs.queue import queue_names
 from core.jobs.slots import ANY, CPU, GPU, SlotKind, WantedSlots
 from core.jobs.workers import WorkerInfo
 from worker.cluster.launcher import Allocation
-from worker.cluster.scale import Decision, Limits, Memory, Seen, decide, refused, unknown
+from worker.cluster.scale import Decision, Limits, Memory, Seen, decide, lost, refused, unknown
 
 NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
 FOUR = SlotKind("gpu", 4)
@@ -53,7 +53,7 @@ def first(look: Seen, memory: Memory | None = None, limits: Limits = LIMITS) -> 
 
 
 def test_an_empty_queue_starts_nothing() -> None:
-    assert first(seen(workers=[worker("cpu")])) == Decision({}, [], [], [])
+    assert first(seen(workers=[worker("cpu")])) == Decision({}, [], [])
 
 
 def test_each_queued_job_gets_an_allocation_up_to_the_limit_the_oldest_first() -> None:
@@ -111,16 +111,25 @@ def test_pending_allocations_are_called_off_once_nobody_has_wanted_them_for_a_wh
         stops.append(decision.stops)
     # A job for a GPU came in time, and the running one takes the job on the CPU.
     assert stops == [[], [], ["2"]]
-    gone, memory = decide(seen(33, wanted=[wants(CPU, 1)], allocations=allocations[::2]), memory, LIMITS)
-    assert (gone.failed, gone.starts) == ([], {})
+    assert lost(seen(33, allocations=allocations[::2]), memory) == []
 
 
-def test_an_allocation_that_ends_before_its_worker_is_heard_of_makes_its_kind_pause() -> None:
+def test_a_stuck_allocation_is_called_off_at_once_and_another_is_started() -> None:
+    stuck = [Allocation("1", CPU, "stuck", reason="launch failed requeued held")]
+    decision, memory = decide(seen(wanted=[wants(CPU, 1)], allocations=stuck), Memory(), LIMITS)
+    assert (decision.starts, decision.stops) == ({CPU: 1}, ["1"])
+    assert lost(seen(1), memory) == []
+
+
+def test_an_allocation_that_fails_before_its_worker_is_heard_of_makes_its_kind_pause() -> None:
     look = seen(0, wanted=[wants(CPU, 3)])
     memory, starts = Memory(), list[tuple[float, int]]()
     for now_s in range(0, 200):
         here = [Allocation(str(now_s), CPU, "running", "n1")] if starts and starts[-1][0] == now_s - 1 else []
-        decision, memory = decide(replace(look, now_s=float(now_s), allocations=here), memory, LIMITS)
+        now = replace(look, now_s=float(now_s), allocations=here)
+        for one in lost(now, memory):
+            memory = refused(memory, one.kind, now_s)
+        decision, memory = decide(now, memory, LIMITS)
         if decision.starts and not here:
             starts.append((now_s, decision.starts[CPU]))
     # 10 s after the first failure, 20 after the second, ...; one is tried at a time.
@@ -138,7 +147,7 @@ def test_a_worker_that_is_heard_of_ends_the_pauses() -> None:
     decision, memory = decide(look, memory, LIMITS)
     assert (memory.failures, decision.starts) == ({}, {CPU: 3})
     # Its end is none before its worker was heard of.
-    assert decide(seen(40), memory, LIMITS)[0].failed == []
+    assert lost(seen(40), memory) == []
 
 
 def test_after_a_start_of_unknown_outcome_nothing_of_its_kind_is_started_for_a_minute() -> None:

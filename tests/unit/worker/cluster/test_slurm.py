@@ -91,6 +91,8 @@ def test_only_allocations_of_this_service_are_its_own(slurm: Slurm, program: Pro
         "4|RUNNING|n2|None|gaitway-other-cpu-ab12cd",
         "5|RUNNING|n2|None|gaitway-t0-gpu2-ab12cd",
         "6|RUNNING|n2|None|somebody|else",
+        "7|PENDING||BeginTime|gaitway-t0-cpu-ab12cd",
+        "8|PENDING||launch failed requeued held|gaitway-t0-cpu-ab12cd",
     ]
     listed = "\\n".join(rows)
     program("squeue", f'[ "$2" = --user={getpass.getuser()} ] && printf "{listed}\\n"')
@@ -98,6 +100,8 @@ def test_only_allocations_of_this_service_are_its_own(slurm: Slurm, program: Pro
         Allocation("1", CPU, "running", "n1", "None"),
         Allocation("2", FOUR, "pending", "", "Resources"),
         Allocation("3", CPU, "ending", "n2", "None"),
+        Allocation("7", CPU, "stuck", "", "BeginTime"),
+        Allocation("8", CPU, "stuck", "", "launch failed requeued held"),
     ]
 
 
@@ -116,4 +120,8 @@ def test_a_node_without_a_driver_is_left_out_and_named(
     program("sbatch", f"cat >>{tmp_path}/sent; echo 7")
     slurm.start(FOUR, 1)
     assert "without ['n2']" in (tmp_path / "sent").read_text()
-    assert "It printed nothing" in slurm.explain(Allocation("10", CPU, "running", "n1"))
+    assert "It printed nothing" in str(slurm.explain(Allocation("10", CPU, "running", "n1")))
+    (tmp_path / "11.log").write_text(
+        "slurmstepd-n1: error: *** JOB 11 ON n1 CANCELLED AT 2026-11-27T19:55:11 ***"
+    )
+    assert slurm.explain(Allocation("11", CPU, "running", "n1")) is None
