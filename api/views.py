@@ -281,9 +281,11 @@ def slots_view(wanted: Sequence[WantedSlots]) -> SlotsView:
         for slots in wanted
     )
     ages = [item.oldest_queued_s for item in items if item.oldest_queued_s is not None]
+    queued, running = sum(item.queued for item in items), sum(item.running for item in items)
     return SlotsView(
         items=items,
-        queued=sum(item.queued for item in items),
-        running=sum(item.running for item in items),
+        queued=queued,
+        running=running,
+        wanted=queued + running,
         oldest_queued_s=max(ages, default=None),
     )

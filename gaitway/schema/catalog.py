@@ -163,11 +163,15 @@ class SlotView(View):
 
 
 class SlotsView(View):
-    """How many workers the queue wants, by kind, and of all these kinds together."""
+    """How many workers the queue wants, by kind, and of all these kinds together.
+
+    wanted: `queued` and `running` together, the workers that have something to do.
+    """
 
     items: tuple[SlotView, ...] = ()
     queued: int = 0
     running: int = 0
+    wanted: int = 0
     oldest_queued_s: float | None = None
 
 

@@ -194,7 +194,8 @@ def test_the_slots_that_are_wanted_are_counted_by_kind(stack: Stack) -> None:
     on_cpu = stack.http.get("/slots", params={"counted_as": "cpu", "accelerator": "cpu"}).json()
     assert (on_cpu["queued"], on_cpu["running"], on_cpu["oldest_queued_s"] > 0) == (2, 0, True)
     none = stack.http.get("/slots", params={"gpus": 8}).json()
-    assert none == {"items": [], "queued": 0, "running": 0, "oldest_queued_s": None}
+    assert none == {"items": [], "queued": 0, "running": 0, "wanted": 0, "oldest_queued_s": None}
+    assert on_cpu["wanted"] == 2
     with Client(f"http://127.0.0.1:{stack.port}") as client:
         assert [one.queued for one in client.slots(counted_as="gpu").items] == [1, 1, 1]
 

@@ -166,7 +166,7 @@ def test_one_id_leads_from_the_request_to_the_training_process(
     client: Client, undisturbed: JobView, stack_folder: Path
 ) -> None:
     files = list(stack_folder.rglob("*.log"))
-    lines = [line for file in files for line in file.read_text().splitlines()] + list(
+    lines = [line for file in files for line in file.read_text(errors="replace").splitlines()] + list(
         client.logs(undisturbed.id)
     )
     assert undisturbed.correlation_id is not None

@@ -55,7 +55,7 @@ class S3ObjectStore:
     def put_stream(self, key: str, stream: IO[bytes], size: int, *, media_type: str = _ANY) -> None:
         check_writable(key)
         self._damaged.pop(key, None)
-        with self._reaching(key):
+        with self._timed(), self._reaching(key):
             self._client.put_object(
                 self._bucket,
                 key,
@@ -156,7 +156,7 @@ class S3ObjectStore:
             raise
 
     def _timed(self) -> AbstractContextManager[None]:
-        """For calls whose time hardly depends on an object's size."""
+        """Of a read, until its first bytes; an upload takes longer the larger it is."""
         return timed(self._observe, "objects")
 
     def _reaching(self, key: str = "") -> AbstractContextManager[None]:
