@@ -183,7 +183,8 @@ class Loop:
         try:
             if decision.stops:
                 self.launcher.stop(decision.stops)
-                self.say(f"Called off, since no job wants them: Slurm jobs {', '.join(decision.stops)}.")
+                named = ", ".join(decision.stops)
+                self.say(f"Called off Slurm jobs {named}: no job wants them, or Slurm holds them back.")
         except SchedulerAway as error:
             self._say_once(f"Slurm is away. {error}")
         for kind, number in decision.starts.items():
