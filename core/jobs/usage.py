@@ -60,16 +60,18 @@ class Ended:
 
 @dataclass(frozen=True)
 class RunningAttempt:
-    """An attempt that holds its job now."""
+    """An attempt that holds its job now. worker: the first, where there is one on each of several hosts."""
 
     project: str
     owner: str
     worker: str
     started_at: datetime
+    hosts: int = 1
 
     @property
     def num_gpus(self) -> int:
-        return len(gpu_indices(host_and_device(self.worker)[1]))
+        """Those of all hosts."""
+        return self.hosts * len(gpu_indices(host_and_device(self.worker)[1]))
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,7 @@ def entries(job: Job, before: JobStatus) -> list[LedgerEntry]:
             jobs=int(hour == last and job.status.is_final),
             attempts=int(hour == last and attempt is not None),
             seconds=seconds,
-            gpu_seconds=seconds * len(gpu_indices(device)),
+            gpu_seconds=seconds * len(gpu_indices(device)) * job.spec.resources.hosts,
         )
         for hour, seconds in hours
     ]

@@ -25,6 +25,7 @@ from core.adapters.postgres.engine import Session
 from core.adapters.postgres.rows import HELD, columns
 from core.adapters.postgres.tables import NOW, UNFINISHED, attempts, jobs, pulse, tallies, usage
 from core.jobs.job import Job
+from core.jobs.slots import kind_of_queue
 from core.jobs.status import JobStatus
 from core.jobs.tallies import Tally
 from core.jobs.usage import (
@@ -78,7 +79,7 @@ _UNFINISHED = (
     .group_by(jobs.c.project, jobs.c.status)
 )
 _RUNNING = (
-    select(jobs.c.project, jobs.c.owner, attempts.c.worker, attempts.c.started_at)
+    select(jobs.c.project, jobs.c.owner, jobs.c.queue, attempts.c.worker, attempts.c.started_at)
     .join(jobs, and_(jobs.c.id == attempts.c.job_id, jobs.c.num_attempts == attempts.c.number))
     .where(jobs.c.status.in_(HELD))
 )
@@ -167,6 +168,8 @@ class UsageQueries(Session):
 
 def _running(connection: Connection) -> list[RunningAttempt]:
     return [
-        RunningAttempt(row.project, row.owner or "", row.worker, row.started_at)
+        RunningAttempt(
+            row.project, row.owner or "", row.worker, row.started_at, kind_of_queue(row.queue).hosts
+        )
         for row in connection.execute(_RUNNING)
     ]

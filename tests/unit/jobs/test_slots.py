@@ -20,6 +20,8 @@ def test_every_queue_has_the_kind_of_the_workers_that_serve_it() -> None:
         kinds = {kind_of_queue(name) for name in queue_names(device) if name in all_queues()}
         assert kinds == ({SlotKind("gpu", gpus)} if gpus > 1 else {GPU, ANY})
     assert {kind_of_queue(name) for name in queue_names("cpu")} == {CPU, ANY}
+    assert {kind_of_queue(name) for name in queue_names("gpu:0-3", 2)} == {SlotKind("gpu", 4, 2)}
+    assert {kind_of_queue(name) for name in queue_names("cpu", 3)} == {SlotKind("cpu", 0, 3)}
 
 
 def test_priorities_count_together_and_models_as_one_job() -> None:

@@ -21,8 +21,8 @@ def at(minutes: float) -> datetime:
     return NINE + timedelta(minutes=minutes)
 
 
-def queued() -> Job:
-    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant"})
+def queued(**resources: int) -> Job:
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", "resources": resources})
     return Job(id="019aa3c2f0b1-5be0c1d2e3", spec=spec, created_at=at(0))
 
 
@@ -42,6 +42,13 @@ def test_an_attempt_is_entered_by_the_hours_in_which_it_ran() -> None:
     assert [(entry.jobs, entry.attempts) for entry in found] == [(0, 0), (0, 0), (1, 1)]
     assert {(entry.host, entry.device) for entry in found} == {("node1", "gpu:0,1")}
     assert {(entry.status, entry.reason) for entry in found} == {("succeeded", "completed")}
+
+
+def test_an_attempt_counts_the_gpus_of_all_its_hosts() -> None:
+    job = queued(gpus=4, hosts=2).claimed("node1:gpu:0,1:a1b2c3", at(50)).running()
+    (entry,) = entries(job.requeued(Reason.WORKER_LOST, "", at(51)), JobStatus.RUNNING)
+    assert (entry.seconds, entry.gpu_seconds) == (60, 240)
+    assert RunningAttempt(*WHO, "node1:gpu:0,1:a1b2c3", at(0), hosts=2).num_gpus == 4
 
 
 def test_a_lost_attempt_is_entered_and_its_job_has_not_ended() -> None:
