@@ -240,7 +240,8 @@ def workers(context: typer.Context, as_json: AsJson = False) -> None:
     for worker in found:
         state = f"{worker.state}: {worker.problem}" if worker.problem else worker.state
         jobs = worker.jobs or ((worker.job,) if worker.job else ())
-        table.add_row(*map(Text, (worker.name, worker.device, state, ", ".join(jobs) or "none")))
+        device = worker.device if worker.hosts == 1 else f"{worker.device} of {worker.hosts} hosts"
+        table.add_row(*map(Text, (worker.name, device, state, ", ".join(jobs) or "none")))
     Console().print(table)
 
 

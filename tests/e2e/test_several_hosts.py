@@ -24,7 +24,12 @@ from tests.slurm.local_slurm import LocalSlurm, missing
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
-ON_TWO = {**UNFILMED, "resources": {"accelerator": "cpu", "hosts": 2}}
+# Three checkpoints.
+ON_TWO = {
+    **UNFILMED,
+    "algorithm": {**UNFILMED["algorithm"], "num_timesteps": 153_600},
+    "resources": {"accelerator": "cpu", "hosts": 2},
+}
 _WORKER = (sys.executable, "-m", "worker.main")
 
 

@@ -36,6 +36,8 @@ log = structlog.get_logger()
 
 _POLL_S = 0.02
 _SILENT_S = 5.0
+# Strangers that may be greeted at the same time.
+_MOST_GREETINGS = 100
 
 
 @dataclass
@@ -66,7 +68,8 @@ class Member:
 class Gang:
     """The members that are connected. Made once, by the worker, which listens from then on.
 
-    Raises Misconfigured if the address cannot be listened at.
+    refused: a sentence on the last host that did not fit; empty since another one has joined. Raises
+    Misconfigured if the address cannot be listened at.
     """
 
     def __init__(self, place: Place, device: str) -> None:
@@ -99,7 +102,7 @@ class Gang:
     def look(self) -> bool:
         """Greet who has come, forget who has gone; whether all are here. Call it repeatedly: none waits."""
         with suppress(BlockingIOError, ConnectionAbortedError):
-            while True:
+            while len(self._greetings) < _MOST_GREETINGS:
                 self._greetings.append(Greeting(self._listener.accept()[0], self.place.secret))
         for greeting in list(self._greetings):
             self._greet(greeting)

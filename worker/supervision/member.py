@@ -153,16 +153,15 @@ class MemberAttempt:
     def run(self) -> None:
         """Raises ConnectionLost, after its process has ended."""
         task, settings = self.begin.task, self.member.settings
-        structlog.contextvars.bind_contextvars(job_id=task.job_id, attempt=task.attempt)
         folder = settings.data_dir.absolute()
         own = folder / SPOOLS / f"{task.job_id}.{task.attempt}.rank{self.member.place.rank}"
         caches = Caches(self.member.objects, settings, self.member.device, own, private(own))
-        log.info("part_began")
-        try:
+        with structlog.contextvars.bound_contextvars(
+            job_id=task.job_id, attempt=task.attempt, correlation_id=task.correlation_id
+        ):
+            log.info("part_began")
             ended = self._ended(caches, folder, own)
-        finally:
-            structlog.contextvars.unbind_contextvars("job_id", "attempt")
-        log.info("part_ended", status=ended.status, is_stopped=ended.is_stopped)
+            log.info("part_ended", status=ended.status, is_stopped=ended.is_stopped)
         if ended.failure is not None and ended.failure.reason in SUSPICIOUS:
             with suppress(OSError):
                 set_aside(mark_of(folder, self.member.slot_names[0]), ended.failure.message)
