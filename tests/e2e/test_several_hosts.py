@@ -94,7 +94,8 @@ def test_a_job_waits_for_both_hosts_and_outlives_the_loss_of_one(
     assert (attempt.reason, "(rank 1) is lost" in (attempt.message or "")) == ("worker_lost", True)
     start(1)
     assert _end(service, job) == _end(service, undisturbed)
-    cancelled = service.submit({**ON_TWO, "seed": 4})
+    endless = {**ON_TWO["algorithm"], "num_timesteps": 10**8}
+    cancelled = service.submit({**ON_TWO, "algorithm": endless})
     until_checkpoint(service, cancelled)
     service.cancel(cancelled.id)
     assert service.wait(cancelled.id, timeout=100).status == "cancelled"
@@ -128,10 +129,5 @@ def _end(client: Client, job: JobView) -> list[tuple[str, str]]:
 
 def _trainings(folder: Path) -> list[int]:
     """Training processes that work in this folder."""
-    return [
-        process.pid
-        for process in psutil.process_iter()
-        if (line := " ".join(process.cmdline() if process.is_running() else []))
-        and "worker.training" in line
-        and str(folder) in line
-    ]
+    lines = {found.pid: " ".join(found.info["cmdline"] or ()) for found in psutil.process_iter(["cmdline"])}
+    return [pid for pid, line in lines.items() if "worker.training" in line and str(folder) in line]
