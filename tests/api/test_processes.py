@@ -111,3 +111,17 @@ def test_they_end_with_the_process_that_watches_them(service: Service) -> None:
     _, left = psutil.wait_procs(list(children), timeout=10)
     assert left == []
     assert are_free([service.port])
+
+
+def test_whichever_process_answers_tells_what_all_have_counted(service: Service) -> None:
+    wanted, number = 'gaitway_http_requests_total{method="GET",route="/healthz",status="200"}', 40
+    for _ in range(number):
+        httpx.get(f"{service.http.base_url}/healthz", verify=False)  # noqa: S501 # Each on a connection of its own.
+    told = set[float]()
+    for _ in range(12):
+        lines = httpx.get(f"{service.http.base_url}/metrics", verify=False).text.splitlines()  # noqa: S501
+        (line,) = (line for line in lines if line.startswith(wanted))
+        told.add(float(line.rpartition(" ")[2]))
+        assert any(line.startswith("gaitway_record_up 1") for line in lines)
+        assert any(line.startswith('gaitway_store_seconds_count{store="postgresql"}') for line in lines)
+    assert told == {float(number)}
