@@ -82,6 +82,20 @@ def test_a_second_start_changes_nothing_and_takes_back_what_was_given_by_hand(
     as_worker.ping()
 
 
+@pytest.mark.parametrize(
+    "rights", ["SUPERUSER", "CREATEROLE", "IN ROLE pg_read_all_data", "NOINHERIT IN ROLE {own}"]
+)
+def test_a_user_with_rights_of_its_own_is_no_workers(
+    database_url: str, worker_url: str, job_store: PostgresJobStore, rights: str
+) -> None:
+    user = worker_url.partition("//")[2].partition(":")[0]
+    with psycopg.connect(database_url, autocommit=True) as connection:
+        rights = rights.format(own=connection.info.user)
+        connection.execute(f"CREATE ROLE {user} LOGIN PASSWORD 'word' {rights}".encode())
+    with pytest.raises(Misconfigured, match="rights of its own"):
+        prepare_worker_role(connect_postgres(database_url, pool_size=0), worker_url)
+
+
 def test_the_services_own_user_is_no_workers(database_url: str) -> None:
     engine = connect_postgres(database_url, pool_size=0)
     for url in (database_url, "postgresql://worker@h/d", "postgresql://h/d"):

@@ -53,7 +53,29 @@ def prepare_worker_role(engine: Engine, url: str) -> None:
         for table, rights in RIGHTS.items():
             grant = sql.SQL("GRANT {} ON {} TO {}")
             driver.execute(grant.format(sql.SQL(cast("LiteralString", rights)), sql.Identifier(table), name))
+        if _may_more(driver, str(role)):
+            raise Misconfigured(
+                f"The user {role} of {_SETTING} has rights of its own, by which workers would read users and "
+                "tokens: as an administrator of PostgreSQL, take them away, or name another user."
+            )
     log.info("worker_role_prepared", role=role, made=not is_there)
+
+
+def _may_more(driver: "psycopg.Connection[Any]", role: str) -> bool:
+    """Whether the role reaches other tables: as superuser, through a role that it is in, or by making one."""
+    rest = driver.execute(
+        """
+        SELECT rolcreaterole OR pg_has_role(oid, current_user, 'MEMBER')
+          OR EXISTS (
+            SELECT FROM pg_class
+            WHERE relnamespace = 'public'::regnamespace AND relkind = 'r' AND relname <> ALL (%s)
+              AND has_table_privilege(pg_roles.oid, pg_class.oid, 'SELECT, INSERT, UPDATE, DELETE')
+          )
+        FROM pg_roles WHERE rolname = %s
+        """,
+        [[*RIGHTS], role],
+    )
+    return bool(rest.fetchone() == (True,))
 
 
 def _make(driver: "psycopg.Connection[Any]", name: sql.Identifier, password: str) -> None:
