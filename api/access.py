@@ -68,8 +68,8 @@ ROUTES: Mapping[str, Access] = {
     "GET /environments/playground/{name}": _READ,
     "GET /algorithms": _READ,
     "GET /workers": _READ,
-    # It has the passwords of the stores.
-    "GET /workers/settings": Access(worker=True),
+    # It has the passwords of the stores, so that the audit log says who has asked.
+    "GET /workers/settings": Access(worker=True, action="worker.joined"),
     "GET /slots": _READ,
     "GET /usage": _READ,
     # It tells of all projects; Prometheus has no need of a token that may change anything.
