@@ -32,6 +32,7 @@ from core.jobs.spec import CheckpointPolicy, EnvironmentSpec, JobSpec, RolloutSp
 from core.jobs.store import Dispatch, Entry, Idempotency, JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.user_models import library
 from core.user_models.record import ModelStore
 
 log = structlog.get_logger()
@@ -112,8 +113,13 @@ def check_readable_model(
     model = environment.options.get("model")
     if readable is None or not isinstance(model, str):
         return
+    try:
+        library.find(model, store)
+    except ModelNotFound:  # The check of the options says so.
+        return
+    # A deleted model that a job still needs is in no project.
     owners = store.owners_of_models([model]).get(model, ())
-    if owners and not any(one.project in readable for one in owners):
+    if not any(one.project in readable for one in owners):
         detail = ModelNotFound(model).detail
         raise Rejected(detail, [Problem("/environment/options/model", detail)])
 

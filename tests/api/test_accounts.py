@@ -204,6 +204,16 @@ def test_a_foreign_model_is_refused_as_one_that_does_not_exist(lab: Lab) -> None
     problem(bob.post("/sweeps", json=sweep), 422, "invalid-request")
 
 
+def test_a_deleted_model_that_a_job_needs_is_nobodys(lab: Lab) -> None:
+    model_of_ann(lab)
+    on_model = {**JOB, "environment": ON_MODEL}
+    assert lab.of("root").post("/jobs", json=on_model).status_code == 202  # In the project `default`.
+    assert lab.of("ann").delete(f"/models/{MODEL}").status_code == 204
+    for user in ("ann", "bob"):
+        document = problem(lab.of(user).post("/jobs", json=on_model), 422, "invalid-request")
+        assert pointers(document) == ["/environment/options/model"]
+
+
 def test_an_export_of_a_foreign_model_is_not_imported(lab: Lab) -> None:
     """Whoever knew a model's hash could have had its bytes, by an export of what they imported."""
     job_id = trained_by_ann(lab)
