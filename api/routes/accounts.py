@@ -1,7 +1,7 @@
 """Users, projects, tokens and the audit log; and who one is."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import timedelta
 from typing import Annotated, Any
 
@@ -13,7 +13,15 @@ from api.dependencies import QueryParameters, ServiceDep
 from api.problems import MalformedBody, UnsupportedMediaType, refusals
 from api.submissions import JsonBody, parse
 from api.views import Listing
-from core.accounts.principal import DEFAULT_PROJECT, NAME, AccountName, Principal, Role, TokenScope
+from core.accounts.principal import (
+    DEFAULT_PROJECT,
+    NAME,
+    SCOPE_FOR,
+    AccountName,
+    Principal,
+    Role,
+    TokenScope,
+)
 from core.accounts.store import Token, User
 from core.accounts.tokens import TOKEN_ID, new_secret
 from core.documents import Strict
@@ -210,7 +218,7 @@ def _check_no_more(wanted: NewToken, principal: Principal) -> None:
     "/tokens/{token_id}",
     status_code=204,
     dependencies=ACCOUNTS_ON,
-    responses=refusals(AccountsOff, TokenNotFound, RecordsUnavailable),
+    responses=refusals(AccountsOff, TokenNotFound, Forbidden, RecordsUnavailable),
 )
 def revoke_token(
     token_id: TokenId,
@@ -218,9 +226,26 @@ def revoke_token(
     service: ServiceDep,
     principal: PrincipalDep,
 ) -> None:
-    """Revoke one of your tokens; an admin revokes any. Nothing accepts it after two seconds."""
+    """Revoke one of your tokens that may do no more than the one with which you ask; an admin revokes any.
+
+    Nothing accepts it after two seconds.
+    """
     user = None if principal.is_admin else principal.user
+    if user is not None:
+        _check_reaches(token_id, service.store.tokens(user), principal)
     service.store.revoke_token(token_id, actor_of(principal, request), user=user)
+
+
+def _check_reaches(token_id: str, own: Sequence[Token], principal: Principal) -> None:
+    """Raises Forbidden where the token is one of these and may do more: who has found a token that reads
+    cannot shut its user out."""
+    scope = next((token.scope for token in own if token.id == token_id), principal.scope)
+    needed, reached = scope.role or Role.ADMIN, principal.scope.role or Role.VIEWER
+    if reached.rank < needed.rank:
+        raise Forbidden(
+            f"A token of the scope {principal.scope} revokes none of the scope {scope}.",
+            needed_scope=SCOPE_FOR[needed],
+        )
 
 
 @router.get("/users", dependencies=ACCOUNTS_ON, responses=refusals(AccountsOff, RecordsUnavailable))

@@ -278,6 +278,16 @@ def test_one_lists_and_revokes_ones_own_tokens_and_an_admin_all(lab: Lab) -> Non
     assert {one["user"] for one in lab.of("root").get("/tokens?user=bob").json()["items"]} == {"bob"}
 
 
+def test_a_token_revokes_none_that_may_do_more(lab: Lab) -> None:
+    submits, reads = (lab.token("ann", scope) for scope in (TokenScope.SUBMIT, TokenScope.READ))
+    worker = lab.token("root", TokenScope.WORKER)
+    document = problem(lab.of("ann", TokenScope.READ).delete(f"/tokens/{submits.id}"), 403, "forbidden")
+    assert document["needed_scope"] == "submit"
+    problem(lab.of("root", TokenScope.SUBMIT).delete(f"/tokens/{worker.id}"), 403, "forbidden")
+    assert lab.of("ann", TokenScope.READ).delete(f"/tokens/{reads.id}").status_code == 204
+    assert lab.of("ann", TokenScope.SUBMIT).delete(f"/tokens/{submits.id}").status_code == 204
+
+
 def test_an_admin_keeps_users_and_projects(lab: Lab) -> None:
     root = lab.of("root")
     assert root.post("/projects", json={"name": "c"}).status_code == 201
