@@ -60,6 +60,10 @@ ROUTES: Mapping[str, Access] = {
     "GET /problems/{code}": _OPEN,
     "GET /healthz": _OPEN,
     "GET /readyz": _OPEN,
+    # They are for those who are not signed in yet; they look at the session themselves.
+    "GET /session": _OPEN,
+    "POST /session": _OPEN,
+    "DELETE /session": _OPEN,
     "GET /whoami": _READ,
     "GET /environments": _READ,
     "GET /environments/{environment_id}": _READ,

@@ -1,10 +1,13 @@
-"""Finds out who makes a request, by its token; counts the requests of each.
+"""Finds out who makes a request, by its token or the page's session; counts the requests of each.
 
-What the record said of a token is used for two seconds. So a token that is revoked, a user who is disabled
+What the record said of either is used for two seconds. So a token that is revoked, a user who is disabled
 and a role that is taken away have no effect any more after two seconds, in every process.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import timedelta
+from threading import Lock
 from time import monotonic
 from typing import ClassVar
 
@@ -12,6 +15,7 @@ from anyio import CapacityLimiter, to_thread
 from fastapi import Request
 
 from api.problems import EdgeError
+from api.sessions import check_sender, session_of
 from core.accounts.principal import Principal
 from core.accounts.store import AccountStore, KnownToken
 from core.accounts.tokens import Secret, parse
@@ -45,16 +49,15 @@ class Unauthenticated(EdgeError):
 
 
 class TooManyRequests(EdgeError):
-    """The token makes more requests than GAITWAY_REQUESTS_PER_SECOND allows."""
+    """A token makes more requests than GAITWAY_REQUESTS_PER_SECOND allows, or more sign-ins on the page have
+    failed from an address than GAITWAY_SIGN_INS_PER_MINUTE allows."""
 
     status = 429
     code = "too-many-requests"
     title = "Too many requests"
 
-    def __init__(self, most: float, wait_s: float) -> None:
-        super().__init__(
-            f"This token makes more than {most:g} requests a second; wait {wait_s:.1f} s.", most=most
-        )
+    def __init__(self, sentence: str, most: float, wait_s: float) -> None:
+        super().__init__(f"{sentence.format(most=most)}; wait {wait_s:.1f} s.", most=most)
         self._wait_s = wait_s
 
     @property
@@ -71,16 +74,30 @@ class _Bucket:
 
 
 class RequestLimit:
-    """A token bucket for each token, in this process."""
+    """A token bucket for each one who asks, in this process; thread-safe.
 
-    def __init__(self, per_second: float) -> None:
-        self._per_second = per_second
-        self._most = per_second * _BURST_S
+    most: in `period_s`, on average over `burst_s`. sentence: of the refusal, which names `most`.
+    """
+
+    def __init__(self, most: float, period_s: float, burst_s: float, sentence: str) -> None:
+        self._named, self._sentence = most, sentence
+        self._per_second = most / period_s
+        self._most = self._per_second * burst_s
         self._buckets: dict[str, _Bucket] = {}
+        self._lock = Lock()
 
     def count(self, who: str) -> None:
         """Raises TooManyRequests."""
-        now = monotonic()
+        with self._lock:
+            self._count(who, monotonic())
+
+    def give_back(self, who: str) -> None:
+        """Do not count the last one."""
+        with self._lock:
+            if (bucket := self._buckets.get(who)) is not None:
+                bucket.left += 1
+
+    def _count(self, who: str, now: float) -> None:
         bucket = self._buckets.get(who)
         if bucket is None:
             if len(self._buckets) >= _MOST_CACHED:
@@ -89,7 +106,7 @@ class RequestLimit:
         bucket.left = min(self._most, bucket.left + (now - bucket.at) * self._per_second)
         bucket.at = now
         if bucket.left < 1:
-            raise TooManyRequests(self._per_second, (1 - bucket.left) / self._per_second)
+            raise TooManyRequests(self._sentence, self._named, (1 - bucket.left) / self._per_second)
         bucket.left -= 1
 
 
@@ -98,9 +115,11 @@ class Authenticator:
 
     scheme: ClassVar[str] = "bearer"
 
-    def __init__(self, store: AccountStore, requests_per_second: float) -> None:
+    def __init__(self, store: AccountStore, requests_per_second: float, session_idle: timedelta) -> None:
         self._store = store
-        self._limit = RequestLimit(requests_per_second)
+        self._session_idle = session_idle
+        sentence = "This token makes more than {most:g} requests a second"
+        self._limit = RequestLimit(requests_per_second, 1.0, _BURST_S, sentence)
         # By the hash of the whole token, so that no secret stays in memory.
         self._known: dict[str, tuple[float, Principal]] = {}
         self._threads = CapacityLimiter(_THREADS)
@@ -112,26 +131,49 @@ class Authenticator:
         return principal
 
     async def of_request(self, request: Request) -> Principal:
-        """Who made it, as the record says now. Raises Unauthenticated, RecordsUnavailable."""
-        secret = _secret(request)
+        """Who made it, as the record says now.
+
+        Raises Unauthenticated, CrossSiteRequest, RecordsUnavailable.
+        """
+        session = None if "authorization" in request.headers else session_of(request)
+        if session is None:
+            return await self._remembered(_secret(request), self.of_token)
+        check_sender(request)
+        return await self._remembered(session, self.of_session)
+
+    def forget(self, secret: Secret) -> None:
+        """Ask the record again, for a session that has ended."""
+        self._known.pop(secret.sha256, None)
+
+    async def _remembered(self, secret: Secret, find: Callable[[Secret], Principal]) -> Principal:
         sha256 = secret.sha256
         until, principal = self._known.get(sha256, (0.0, None))
         if principal is not None and monotonic() < until:
             return principal
         self._known.pop(sha256, None)
         until = monotonic() + CACHED_S
-        principal = await to_thread.run_sync(self._find, secret, limiter=self._threads)
+        principal = await to_thread.run_sync(find, secret, limiter=self._threads)
         if len(self._known) >= _MOST_CACHED:
             self._known.clear()
         self._known[sha256] = (until, principal)
         return principal
 
-    def _find(self, secret: Secret) -> Principal:
+    def of_token(self, secret: Secret) -> Principal:
+        """Who holds this token, as the record says now. Raises Unauthenticated, RecordsUnavailable."""
         known = self._store.find_token(secret.id)
         # The same work for an id that does not exist.
         if not secret.matches("" if known is None else known.sha256) or known is None:
             raise Unauthenticated(f"This service does not know the token: {_HOW}.", "unknown")
         _check(known, self._store)
+        return known.principal
+
+    def of_session(self, secret: Secret) -> Principal:
+        """Who is signed in by this session. Raises Unauthenticated, RecordsUnavailable."""
+        known = self._store.find_session(secret.id, self._session_idle)
+        if not secret.matches("" if known is None else known.sha256) or known is None:
+            raise Unauthenticated("The session has ended: sign in again.", "session-ended")
+        if not known.is_active:
+            raise _disabled(str(known.principal.user))
         return known.principal
 
 
@@ -154,4 +196,8 @@ def _check(known: KnownToken, store: AccountStore) -> None:
         moment = f"{token.expires_at:%Y-%m-%d %H:%M} UTC"
         raise Unauthenticated(f"The token {token.id} expired at {moment}: make another one.", "expired")
     if not known.is_active:
-        raise Unauthenticated(f"The user {token.user} is disabled: ask an admin.", "disabled")
+        raise _disabled(token.user)
+
+
+def _disabled(user: str) -> Unauthenticated:
+    return Unauthenticated(f"The user {user} is disabled: ask an admin.", "disabled")

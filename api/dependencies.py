@@ -8,7 +8,7 @@ from fastapi import Depends, Path, Request
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from api.audit_log import AuditLog
-from api.authentication import Authenticator
+from api.authentication import Authenticator, RequestLimit
 from api.monitoring import RecentReading
 from api.shared_reads import JobWatcher, Owners, RecentAnswers, SharedReads
 from core.accounts.store import AccountStore
@@ -44,6 +44,7 @@ class Service:
     num_uploads: models that are being received now.
     num_imports: exports that are being received or stored now.
     authenticator: finds out who makes a request; None if the service has no accounts.
+    sign_ins: counts those that fail, by address.
     owners: of the jobs and sweeps that were asked for last.
     """
 
@@ -62,6 +63,7 @@ class Service:
     lists: RecentAnswers = field(default_factory=RecentAnswers)
     acknowledgements: Acknowledgements = field(init=False)
     authenticator: Authenticator | None = field(init=False)
+    sign_ins: RequestLimit = field(init=False)
     owners: Owners = field(default_factory=Owners)
     audit_log: AuditLog = field(init=False)
     recent: RecentReading = field(init=False)
@@ -69,8 +71,14 @@ class Service:
     def __post_init__(self) -> None:
         self.watcher = JobWatcher(self.store)
         self.acknowledgements = Acknowledgements(self.store.dispatched)
-        most = self.settings.requests_per_second
-        self.authenticator = Authenticator(self.store, most) if self.settings.accounts else None
+        settings = self.settings
+        self.authenticator = None
+        if settings.accounts:
+            self.authenticator = Authenticator(
+                self.store, settings.requests_per_second, settings.session_idle
+            )
+        sentence = "More than {most:g} sign-ins from this address have failed within a minute"
+        self.sign_ins = RequestLimit(settings.sign_ins_per_minute, 60.0, 60.0, sentence)
         self.audit_log = AuditLog(self.store.note)
         self.recent = RecentReading(self.store)
 

@@ -222,6 +222,18 @@ class ApiSettings(StoreSettings):
         description="GAITWAY_S3_ENDPOINT as workers on other machines reach it, for `GET /workers/settings`; "
         "by default the same.",
     )
+    session_idle: Seconds = Field(
+        timedelta(days=3), description="Who has not used the page for this long signs in again."
+    )
+    session_lifetime: Seconds = Field(
+        timedelta(days=30), description="Who signed in on the page this long ago signs in again."
+    )
+    sign_ins_per_minute: float = Field(
+        20.0,
+        gt=0,
+        description="How many sign-ins on the page may fail in a minute from one address, in each process; "
+        "further ones are answered 429.",
+    )
     allowed_hosts: str = Field(
         "",
         description="Names of the API besides localhost and numeric addresses, separated by commas. Requests "

@@ -5,6 +5,7 @@ import { docsOf, href, useRoute } from "./lib/route.js";
 import { html, render, useEffect, useRef, useState } from "./lib/html.js";
 import { useCurrentInSight } from "./lib/in_sight.js";
 import { useLive } from "./lib/live.js";
+import { useSession } from "./lib/session.js";
 import { applyTheme, toggleTheme, useDark } from "./lib/theme.js";
 import { Failure, Loading } from "./parts/elements.js";
 
@@ -17,12 +18,12 @@ const VIEWS = {
   models: () => "models",
   workers: () => "workers",
   usage: () => "usage",
+  account: () => "account",
 };
 const NAMES = { jobs: "Jobs", sweeps: "Sweeps", submit: "Submit", models: "Models", workers: "Workers", usage: "Usage" };
 
-function useView(name, path) {
+function useView(key) {
   const [view, setView] = useState({});
-  const key = VIEWS[name](path);
   useEffect(() => {
     let isWanted = true;
     import(`./views/${key}.js`).then(
@@ -34,18 +35,19 @@ function useView(name, path) {
   return view.key === key ? view : {};
 }
 
-function Header({ present }) {
+function Header({ present, session }) {
   const dark = useDark();
   return html`<header class="top">
     <a class="brand" href="#/jobs">Gaitway</a>
     <nav aria-label="Pages" ref=${useCurrentInSight(present)}>
-      ${Object.entries(NAMES).map(
+      ${Object.entries(session?.accounts && !session.who ? {} : NAMES).map(
         ([name, text]) =>
           html`<a href=${href([name])} aria-current=${name === present ? "page" : undefined}>${text}</a>`,
       )}
       <a href="/docs">HTTP</a>
       <a href=${docsOf(present)} target="_blank" rel="noopener" title="The documentation, on another host">Docs</a>
     </nav>
+    ${session?.accounts && session.who && html`<a class="who" href="#/account" title="Your account" aria-current=${present === "account" ? "page" : undefined}>${session.who.user}</a>`}
     <button class="plain" type="button" onClick=${toggleTheme}>${dark ? "Light" : "Dark"}</button>
   </header>`;
 }
@@ -75,19 +77,22 @@ function App() {
   const [name = "jobs", ...path] = route.path;
   const main = useRef();
   const isKnown = name in VIEWS;
-  const { Component, error } = useView(isKnown ? name : "jobs", path);
+  const { session, again } = useSession();
+  const isOut = session?.accounts && !session.who;
+  const { Component, error } = useView(isOut ? "sign_in" : VIEWS[isKnown ? name : "jobs"](path));
   const isOne = path.length > 0 && path[0] !== "new"; // One job or sweep, whose view says how it goes.
   useEffect(() => {
-    if (!isOne) document.title = `${path[0] === "new" ? "New sweep" : NAMES[name] || "Compare"} · Gaitway`;
-  }, [name, isOne, path[0]]);
+    if (!isOne && name !== "account" && !isOut) document.title = `${path[0] === "new" ? "New sweep" : NAMES[name] || "Compare"} · Gaitway`;
+  }, [name, isOne, path[0], isOut]);
   return html`
     <a class="skip" href="#main" onClick=${(event) => (event.preventDefault(), main.current.focus())}>To the content</a>
-    <${Header} present=${name} />
+    <${Header} present=${name} session=${session} />
     <${Banner} />
     <main id="main" ref=${main} tabindex="-1">
-      ${!isKnown && html`<p class="state">There is no page “${name}”. <a href="#/jobs">To the jobs</a></p>`}
-      ${isKnown && error && html`<${Unloaded} error=${error} />`}
-      ${isKnown && Component && html`<${Component} key=${path[0] || name} path=${path} query=${route.query} />`}
+      ${isOut && Component && html`<${Component} provider=${session.provider} onDone=${again} />`}
+      ${!isOut && !isKnown && html`<p class="state">There is no page “${name}”. <a href="#/jobs">To the jobs</a></p>`}
+      ${(isKnown || isOut) && error && html`<${Unloaded} error=${error} />`}
+      ${session && !isOut && isKnown && Component && html`<${Component} key=${`${session.who?.user} ${path[0] || name}`} path=${path} query=${route.query} />`}
     </main>
   `;
 }

@@ -7,6 +7,7 @@ SwaggerUIBundle({
   dom_id: "#docs",
   url: "/openapi.json",
   deepLinking: true,
+  requestInterceptor: (request) => ((request.headers["X-Gaitway-Page"] = "1"), request), // As lib/api.js does.
   validatorUrl: null, // It would send the document elsewhere.
   defaultModelsExpandDepth: 0,
 });

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request
 from pydantic import AfterValidator, Field, TypeAdapter
 
 from api.access import Forbidden, PrincipalDep, actor_of
-from api.dependencies import QueryParameters, ServiceDep
+from api.dependencies import QueryParameters, Service, ServiceDep
 from api.problems import MalformedBody, UnsupportedMediaType, refusals
 from api.submissions import JsonBody, parse
 from api.views import Listing
@@ -128,7 +128,7 @@ _NEW_PROJECT, _MEMBERS = TypeAdapter(NewProject), TypeAdapter(MembersChange)
 _NEW_TOKEN = TypeAdapter(NewToken)
 
 
-def _body(kind: TypeAdapter[Any]) -> dict[str, Any]:
+def body_of(kind: TypeAdapter[Any]) -> dict[str, Any]:
     schema = kind.json_schema(ref_template="#/components/schemas/{model}")
     schema = {name: value for name, value in schema.items() if name != "$defs"}
     return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
@@ -137,6 +137,11 @@ def _body(kind: TypeAdapter[Any]) -> dict[str, Any]:
 @router.get("/whoami", responses=refusals(RecordsUnavailable))
 def who_am_i(service: ServiceDep, principal: PrincipalDep) -> WhoView:
     """Whose token the request has, and what it may do."""
+    return who(service, principal)
+
+
+def who(service: Service, principal: Principal) -> WhoView:
+    """The principal as the service shows it."""
     return WhoView(
         accounts=service.authenticator is not None,
         user=principal.user,
@@ -170,7 +175,7 @@ def list_tokens(
     "/tokens",
     status_code=201,
     dependencies=ACCOUNTS_ON,
-    openapi_extra=_body(_NEW_TOKEN),
+    openapi_extra=body_of(_NEW_TOKEN),
     responses=refusals(*_REFUSED, UserNotFound, Forbidden),
 )
 def create_token(
@@ -258,7 +263,7 @@ def list_users(service: ServiceDep) -> Listing[UserView]:
     "/users",
     status_code=201,
     dependencies=ACCOUNTS_ON,
-    openapi_extra=_body(_NEW_USER),
+    openapi_extra=body_of(_NEW_USER),
     responses=refusals(*_REFUSED, UserExists, ProjectNotFound),
 )
 def add_user(body: JsonBody, request: Request, service: ServiceDep, principal: PrincipalDep) -> UserView:
@@ -279,7 +284,7 @@ def add_user(body: JsonBody, request: Request, service: ServiceDep, principal: P
 @router.patch(
     "/users/{name}",
     dependencies=ACCOUNTS_ON,
-    openapi_extra=_body(_USER_CHANGE),
+    openapi_extra=body_of(_USER_CHANGE),
     responses=refusals(*_REFUSED, UserNotFound, LastAdmin),
 )
 def change_user(
@@ -307,7 +312,7 @@ def list_projects(service: ServiceDep, principal: PrincipalDep) -> Listing[Proje
     "/projects",
     status_code=201,
     dependencies=ACCOUNTS_ON,
-    openapi_extra=_body(_NEW_PROJECT),
+    openapi_extra=body_of(_NEW_PROJECT),
     responses=refusals(*_REFUSED, ProjectExists),
 )
 def add_project(
@@ -322,7 +327,7 @@ def add_project(
 @router.patch(
     "/projects/{name}",
     dependencies=ACCOUNTS_ON,
-    openapi_extra=_body(_MEMBERS),
+    openapi_extra=body_of(_MEMBERS),
     responses=refusals(*_REFUSED, ProjectNotFound),
 )
 def change_members(

@@ -73,8 +73,9 @@ NOBODYS = Ownership()
 class Principal:
     """Who makes a request. user: None while the service has no accounts.
 
-    token: the id of the token that it came with; None for a session of the page. expires_at: the end of that
-    token. projects: those of which the user is a member.
+    token: the id of the token that it came with, also where the page made a session of it; None where the
+    identity provider said who it is. expires_at: the end of that token. projects: those of which the user is
+    a member.
     """
 
     user: str | None

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, Protocol
 
 from pydantic import Field
@@ -40,6 +40,20 @@ class Token(Stored):
     expires_at: datetime | None = None
     last_used_at: datetime | None = None
     revoked_at: datetime | None = None
+
+
+class PageSession(Stored):
+    """Somebody is signed in on the page.
+
+    token: the id of the token that did it; None: the identity provider said who it is.
+    """
+
+    id: str
+    user: str
+    scope: TokenScope
+    token: str | None = None
+    created_at: datetime
+    expires_at: datetime
 
 
 class AuditEntry(Stored):
@@ -80,6 +94,15 @@ class KnownToken:
 
 
 @dataclass(frozen=True)
+class KnownSession:
+    """A session that was found by its id and has not ended, with what its check needs."""
+
+    sha256: str
+    is_active: bool
+    principal: Principal
+
+
+@dataclass(frozen=True)
 class AuditPage:
     """Some entries, newest first, and the cursor of the next page; None at the end."""
 
@@ -95,6 +118,18 @@ class AccountStore(Protocol):
 
     def find_token(self, token_id: str) -> KnownToken | None:
         """The token and its user; notes its use, at most once a minute."""
+        ...
+
+    def add_session(self, session: PageSession, secret: Secret, actor: Actor) -> None:
+        """Store it, and forget those that have expired. Raises UserNotFound."""
+        ...
+
+    def find_session(self, session_id: str, idle: timedelta) -> KnownSession | None:
+        """The session, unless it has expired or was not used for that long; notes its use, as for a token."""
+        ...
+
+    def end_session(self, session_id: str, actor: Actor) -> None:
+        """Forget it; one that has ended before is no error."""
         ...
 
     def now(self) -> datetime:
@@ -116,7 +151,10 @@ class AccountStore(Protocol):
     def change_user(
         self, name: str, actor: Actor, *, role: Role | None = None, active: bool | None = None
     ) -> User:
-        """Raises UserNotFound; LastAdmin where no active admin would be left."""
+        """Disabling a user ends their sessions.
+
+        Raises UserNotFound; LastAdmin where no active admin would be left.
+        """
         ...
 
     def add_project(self, name: str, actor: Actor) -> Project:
@@ -142,7 +180,7 @@ class AccountStore(Protocol):
         ...
 
     def revoke_token(self, token_id: str, actor: Actor, *, user: str | None = None) -> Token:
-        """A revoked one stays revoked. user: only if it is theirs. Raises TokenNotFound."""
+        """Its sessions end, too, and it stays revoked. user: only if it is theirs. Raises TokenNotFound."""
         ...
 
     def note(self, entries: Sequence[AuditEntry]) -> None:

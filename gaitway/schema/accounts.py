@@ -24,6 +24,17 @@ class WhoView(View):
     expires_at: datetime | None = None
 
 
+class SessionView(View):
+    """What the page needs before anybody is signed in. who: None if nobody is.
+
+    provider: what the lab calls its identity provider; None: there is none, so tokens alone sign in.
+    """
+
+    accounts: bool
+    provider: str | None = None
+    who: WhoView | None = None
+
+
 class UserView(View):
     """A user. subject: that of the identity provider, once the user has signed in there."""
 

@@ -142,7 +142,7 @@ def _text(value: Any) -> str:
         case bool():
             return f"`{str(value).lower()}`"
         case timedelta():
-            return f"`{value.total_seconds():g}` s"
+            return f"`{value.total_seconds():.9g}` s"
         case SecretStr():
             return "secret"
         case _:

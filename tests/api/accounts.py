@@ -30,6 +30,7 @@ USERS: dict[str, tuple[Role, tuple[str, ...]]] = {
 class Lab:
     """clients: those that were asked for."""
 
+    app: FastAPI
     stack: Stack
     service: Service
     clients: dict[tuple[str, TokenScope], httpx.Client] = field(
@@ -72,7 +73,7 @@ def opened(app: FastAPI, stack: Stack) -> Iterator[Lab]:
     for name, (role, projects) in USERS.items():
         user = User(name=name, role=role, projects=projects, created_at=NOON)
         stack.store.add_user(user, NOBODY)
-    lab = Lab(stack, service)
+    lab = Lab(app, stack, service)
     yield lab
     for client in lab.clients.values():
         client.close()

@@ -22,7 +22,7 @@ from tests.api.problems import problem
 
 # What each route needs, said again: a GET reads and everything else submits, but for these.
 OPEN = {"GET /", "GET /docs", "GET /pages/{version}/{path:path}", "GET /problems/{code}"}
-OPEN |= {"GET /healthz", "GET /readyz"}
+OPEN |= {"GET /healthz", "GET /readyz", "GET /session", "POST /session", "DELETE /session"}
 FOR_ADMINS = {"GET /users", "POST /users", "PATCH /users/{name}", "GET /audit"}
 FOR_ADMINS |= {"POST /projects", "PATCH /projects/{name}"}
 FOR_WORKERS = "GET /workers/settings"
@@ -143,7 +143,7 @@ def test_what_was_taken_away_works_no_more_once_the_cache_is_old(
         store.revoke_token(secret.id, NOBODY)
         assert revoked.get("/jobs").status_code == 200  # For two seconds at most.
         monkeypatch.setattr(authentication, "CACHED_S", 0.0)
-        lab.service.authenticator = authentication.Authenticator(lab.service.store, 200)
+        lab.service.authenticator = authentication.Authenticator(lab.service.store, 200, timedelta(days=1))
         assert problem(revoked.get("/jobs"), 401, "unauthenticated")["reason"] == "revoked"
     store.change_user("ann", NOBODY, role=Role.VIEWER)
     problem(client.post("/jobs", json={}), 403, "forbidden")
@@ -168,7 +168,7 @@ def test_the_record_is_asked_for_a_token_once_in_two_seconds(
 
 
 def test_a_token_that_asks_too_often_waits(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    lab.service.authenticator = authentication.Authenticator(lab.service.store, 0.5)
+    lab.service.authenticator = authentication.Authenticator(lab.service.store, 0.5, timedelta(days=1))
     moment = [100.0]
     monkeypatch.setattr(authentication, "monotonic", lambda: moment[0])
     client = lab.of("ann")

@@ -8,8 +8,8 @@ import psycopg
 import pytest
 
 from core.accounts.principal import Ownership, Role, TokenScope
-from core.accounts.store import Actor, AuditEntry, Token, User
-from core.accounts.tokens import Secret, new_secret, parse
+from core.accounts.store import Actor, AuditEntry, PageSession, Token, User
+from core.accounts.tokens import SESSION, Secret, new_secret, parse
 from core.adapters.postgres import listing
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import (
@@ -278,3 +278,35 @@ def test_a_listing_of_ones_projects_reads_few_rows_of_many(
     assert job_store.now() - began < timedelta(seconds=1)
     assert [job.owner for job in page.jobs[:1]] == ["ann"]
     assert len(page.jobs) == 50
+
+
+def test_a_session_is_found_until_it_expires_and_while_it_is_used(job_store: PostgresJobStore) -> None:
+    job_store.add_user(user("ann", Role.SUBMITTER, "default"), ADMIN)
+    now, day = job_store.now(), timedelta(days=1)
+    token = add_token(job_store, "ann")
+
+    def begin(lives: timedelta, *, token_id: str | None = None) -> Secret:
+        secret = new_secret(SESSION)
+        session = PageSession(
+            id=secret.id,
+            user="ann",
+            scope=TokenScope.READ,
+            token=token_id,
+            created_at=now,
+            expires_at=now + lives,
+        )
+        job_store.add_session(session, secret, ADMIN)
+        return secret
+
+    old, kept, of_token = begin(-day), begin(day), begin(day, token_id=token.id)
+    assert job_store.find_session(old.id, day) is None
+    known = job_store.find_session(kept.id, day)
+    assert known is not None
+    assert kept.matches(known.sha256)
+    assert (known.principal.user, known.principal.acts_as) == ("ann", Role.VIEWER)
+    assert job_store.find_session(kept.id, timedelta(0)) is None  # Not used for that long.
+    job_store.revoke_token(token.id, ADMIN)
+    assert job_store.find_session(of_token.id, day) is None
+    job_store.end_session(kept.id, ADMIN)
+    job_store.end_session(kept.id, ADMIN)
+    assert job_store.find_session(kept.id, day) is None

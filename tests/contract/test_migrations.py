@@ -15,8 +15,8 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, inspect, text
 
 from core.accounts.principal import NOBODYS, Role, TokenScope
-from core.accounts.store import Actor, Token, User
-from core.accounts.tokens import new_secret
+from core.accounts.store import Actor, PageSession, Token, User
+from core.accounts.tokens import SESSION, new_secret
 from core.adapters.postgres import schema
 from core.adapters.postgres.engine import DEADLINE_S, connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
@@ -117,6 +117,10 @@ def fill(engine: Engine) -> Job:
         secret = new_secret()
         token = Token(id=secret.id, user=user.name, name="", scope=TokenScope.READ, created_at=NOW)
         jobs.add_token(token, secret, Actor())
+        session = PageSession(
+            id=secret.id, user=user.name, scope=token.scope, created_at=NOW, expires_at=NOW + LEASE
+        )
+        jobs.add_session(session, new_secret(SESSION), Actor())
     jobs.announce(worker("w"), LEASE)
     gone = jobs.add(queued_job(2))
     jobs.delete(gone.id, gone.version)

@@ -26,6 +26,7 @@ export class Away extends Error {
 export async function send(path, { method = "GET", body, type, signal, maxAge, range } = {}) {
   let answer;
   const headers = {
+    ...(method !== "GET" && { "X-Gaitway-Page": "1" }), // No other site's page can send this header.
     ...(type && { "Content-Type": type }),
     ...(maxAge && { "Cache-Control": `max-age=${maxAge}` }),
     ...(range && { Range: `bytes=${range.join("-")}` }),
@@ -39,6 +40,7 @@ export async function send(path, { method = "GET", body, type, signal, maxAge, r
   }
   report(true);
   if (answer.ok) return answer;
+  if (answer.status === 401) signedOut();
   throw new Problem(answer.status, await answer.json().catch(() => ({})));
 }
 
@@ -79,6 +81,17 @@ export function withQuery(path, query) {
     }
   }
   return said.size ? `${path}?${said}` : path;
+}
+
+const onSignedOutListeners = new Set();
+
+/** Nobody is signed in any more, as far as a request showed. */
+export const signedOut = () => onSignedOutListeners.forEach((listener) => listener());
+
+/** Call a listener when that is so. Returns a function that stops it. */
+export function onSignedOut(listener) {
+  onSignedOutListeners.add(listener);
+  return () => onSignedOutListeners.delete(listener);
 }
 
 const listeners = new Set();

@@ -54,7 +54,8 @@ function further(draft, job, step) {
  * @param {() => Promise<void>} send Rejects with the service's refusal.
  * @param {object} document What is sent.
  * @returns problem (the last refusal or null), errors (its places whose values have not been changed since),
- *   setProblem, isBusy, and submit, the form's listener. A form that was sent stays busy: its view is left.
+ *   setProblem, isBusy, reset, and submit, the form's listener. A form that was sent stays busy, since its view is
+ *   left; `reset` makes one that stays ready for the next.
  */
 export function useSubmission(send, document) {
   const [problem, setProblem] = useState(null);
@@ -71,8 +72,9 @@ export function useSubmission(send, document) {
       setBusy(false);
     }
   };
+  const reset = () => (setBusy(false), setProblem(null));
   const isAsSent = ({ pointer }) => isSame(valueAt(sent, pointer), valueAt(document, pointer));
-  return { problem, errors: (problem?.errors || []).filter(isAsSent), setProblem, isBusy, submit };
+  return { problem, errors: (problem?.errors || []).filter(isAsSent), setProblem, isBusy, reset, submit };
 }
 
 /** The value at a JSON pointer. */

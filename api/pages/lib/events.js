@@ -1,6 +1,6 @@
 /** A job's events as they happen (server-sent events), across losses of the connection. */
 
-import { report } from "./api.js";
+import { report, signedOut } from "./api.js";
 
 const KINDS = ["status", "progress", "metrics", "artifact", "phase", "note"];
 const FINAL = new Set(["succeeded", "failed", "cancelled"]);
@@ -45,6 +45,7 @@ export function follow(path, after, onEvent, onEnd) {
       // Closed: by 204 or 404 for good, by anything else for a while.
       const there = await fetch(path.replace(/\/events$/, "")).catch(() => null);
       report(there !== null);
+      if (there?.status === 401) signedOut();
       if (there?.status === 404 || (there?.ok && isFinal((await there.json()).status))) return end();
       if (!document.hidden) timer = setTimeout(open, PAUSE_MS);
     };

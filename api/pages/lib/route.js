@@ -58,6 +58,7 @@ const PAGES = {
   models: "environments/mjcf.md",
   workers: "operations.md",
   usage: "operations.md",
+  account: "teams.md",
 };
 
 /** The page of the documentation about a view. */

@@ -59,12 +59,13 @@ export function draftOf(document) {
 const withoutNulls = (document) => Object.fromEntries(Object.entries(document).filter(([, value]) => value !== null));
 
 /** The document to send. */
-export function documentOf({ name, labels, job, method, parameters, objectives, budget, ...others }) {
+export function documentOf({ name, labels, project, job, method, parameters, objectives, budget, ...others }) {
   const wanted = objectives.slice(0, WITH_ONE_OBJECTIVE.includes(method) ? 1 : undefined);
   const [first] = wanted;
   return {
     ...(name !== undefined && { name }),
     ...(labels !== undefined && { labels }),
+    ...(project !== undefined && { project }),
     job,
     method,
     parameters: Object.fromEntries(Object.entries(parameters).map(([path, axis]) => [path, axisOf(axis, method)])),

@@ -10,6 +10,7 @@ import { useJob } from "../lib/live_job.js";
 import { change, go, href, useTitle } from "../lib/route.js";
 import { Confirm, Empty, Failure, Loading, Prose } from "../parts/elements.js";
 import { Labels, Progress, Status } from "../parts/job_row.js";
+import { whose } from "../parts/whose.js";
 import { CurvesTab } from "./job/curves.js";
 import { FilesTab } from "./job/files.js";
 import { LogTab } from "./job/log.js";
@@ -97,7 +98,7 @@ function Head({ job, again, isBrief }) {
     </div>
     <div class="about-job ${isBrief ? "brief" : ""}">
       <${Status} job=${job} />
-      <span class="facts">${job.kind} · <a href=${href(["jobs"], { environment })}>${environment}</a>${algorithmOf(job) ? ` · ${algorithmOf(job)}` : ""} · ${job.id}</span>
+      <span class="facts">${job.kind} · <a href=${href(["jobs"], { environment })}>${environment}</a>${algorithmOf(job) ? ` · ${algorithmOf(job)}` : ""}${whose(job)} · ${job.id}</span>
       <span class="facts"><time datetime=${job.created_at} title=${moment(job.created_at)}>${times(job)}</time></span>
       <${Origin} job=${job} />
       <${Progress} job=${job} />

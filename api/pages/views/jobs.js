@@ -1,6 +1,6 @@
 /** All jobs, newest first: filters, search and labels in the address; some of them picked for comparison. */
 
-import { get, send } from "../lib/api.js";
+import { get, send, withQuery } from "../lib/api.js";
 import { ago, bytes, value } from "../lib/format.js";
 import { html, useEffect, useRef, useState } from "../lib/html.js";
 import { algorithmOf, environmentOf, isOver, labelsOf, lastReturn, RETURNS, seedsOf, title } from "../lib/job.js";
@@ -8,9 +8,11 @@ import { useLive } from "../lib/live.js";
 import { change, go, href } from "../lib/route.js";
 import { Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
 import { Labels, Progress, Sparkline, Status, Thumbnail } from "../parts/job_row.js";
+import { ProjectChoice, WHOSE, whose, WhoseFilters } from "../parts/whose.js";
 
 export function Import() {
   const [state, setState] = useState({});
+  const [project, setProject] = useState();
   // It takes minutes, and whoever has gone on to another view stays there.
   const isHere = useRef(true);
   useEffect(() => () => (isHere.current = false), []);
@@ -19,7 +21,7 @@ export function Import() {
     if (!file) return;
     setState({ text: `Sending ${file.name} (${bytes(file.size)})…` });
     try {
-      const job = await (await send("/jobs/import", { method: "POST", body: file, type: "application/zip" })).json();
+      const job = await (await send(withQuery("/jobs/import", { project }), { method: "POST", body: file, type: "application/zip" })).json();
       if (isHere.current) go(["jobs", job.id]);
     } catch (error) {
       setState({ error });
@@ -31,13 +33,14 @@ export function Import() {
     <label class="field">The zip that “Export” of a job gives, here or on another service:
       <input type="file" accept=".zip" onChange=${bring} />
     </label>
+    <${ProjectChoice} value=${project} onChange=${setProject} />
     <p role="status">${state.text || ""}</p>
     ${state.error && html`<${Failure} error=${state.error} />`}
   </details>`;
 }
 
 const STATUSES = ["queued", "starting", "running", "cancelling", "succeeded", "failed", "cancelled"];
-const FILTERS = ["search", "status", "kind", "environment", "label"];
+const FILTERS = ["search", "status", "kind", "environment", "label", ...WHOSE];
 const LIMIT = 25;
 
 export default function Jobs({ query }) {
@@ -103,6 +106,7 @@ function Filters({ asked }) {
         <option value="">any</option><option value="train">train</option><option value="rollout">rollout</option>
       </select>
     </label>
+    <${WhoseFilters} asked=${asked} />
     <form onSubmit=${addLabel} novalidate>
       <label>Label <input name="label" placeholder="key:value" aria-invalid=${refused ? "true" : undefined} aria-describedby=${refused ? "label-error" : undefined} /></label>
     </form>
@@ -129,7 +133,7 @@ function Row({ job, picked }) {
       <h2><a href=${here}>${title(job)}</a></h2>
       <p class="facts">
         <a href=${href(["jobs"], { environment })}>${environment}</a>
-        ${` · ${algorithmOf(job) || job.kind}${seedsOf(job).length ? ` · seeds ${seedsOf(job).join(", ")}` : job.spec.seed === undefined ? "" : ` · seed ${job.spec.seed}`}${job.imported_from ? " · imported" : ""} · `}<time datetime=${job.created_at}>${ago(job.created_at)}</time>
+        ${` · ${algorithmOf(job) || job.kind}${seedsOf(job).length ? ` · seeds ${seedsOf(job).join(", ")}` : job.spec.seed === undefined ? "" : ` · seed ${job.spec.seed}`}${job.imported_from ? " · imported" : ""}${whose(job)} · `}<time datetime=${job.created_at}>${ago(job.created_at)}</time>
       </p>
       <${Labels} labels=${labelsOf(job)} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
     </div>

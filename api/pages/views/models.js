@@ -6,6 +6,7 @@ import { html, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { href } from "../lib/route.js";
 import { Confirm, Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
+import { ProjectChoice, whose } from "../parts/whose.js";
 
 const LIMIT = 50;
 const LONGEST_NAME = 100; // Characters, as the service allows.
@@ -34,13 +35,14 @@ function Drop({ onAdded }) {
   const [state, setState] = useState({});
   const [isOver, setOver] = useState(false);
   const [main, setMain] = useState("");
+  const [project, setProject] = useState();
   const input = useRef();
   const upload = async (file) => {
     if (!file) return;
     setState({ text: `Sending ${file.name} (${bytes(file.size)}); a worker reads it…` });
     try {
       const type = file.name.toLowerCase().endsWith(".zip") ? "application/zip" : "application/xml";
-      const path = withQuery("/models", { name: file.name.slice(0, LONGEST_NAME), main: main.trim() });
+      const path = withQuery("/models", { name: file.name.slice(0, LONGEST_NAME), main: main.trim(), project });
       const model = await (await send(path, { method: "POST", body: file, type })).json();
       const read = model.description?.main;
       const isThere = read && read !== file.name && type.endsWith("zip") ? `is there, read from ${read}.` : "is there.";
@@ -64,6 +66,7 @@ function Drop({ onAdded }) {
     <label class="field">Of a zip with several documents, the one that is the model (such as scene.xml):
       <input value=${main} onInput=${(event) => setMain(event.target.value)} />
     </label>
+    <${ProjectChoice} value=${project} onChange=${setProject} />
     <p role="status">${state.text || ""}</p>
     ${state.error && html`<${Failure} error=${state.error} />`}
     ${state.file && html`<p><button type="button" onClick=${() => upload(state.file)}>Send ${state.file.name} again</button></p>`}
@@ -77,7 +80,7 @@ function Model({ model, again }) {
   return html`<section class="card stack">
     <h2>${modelName(model)}</h2>
     <p class="facts"><span class="status ${model.status === "ready" ? "succeeded" : model.status === "refused" ? "failed" : ""}">${model.status}</span>
-      ${` · ${bytes(model.size)} · ${ago(model.created_at)}`}</p>
+      ${` · ${bytes(model.size)} · ${ago(model.created_at)}${whose(model)}`}</p>
     <p class="facts"><code>${model.id}</code></p>
     ${found?.main && html`<p class="facts">Read from ${found.main}</p>`}
     ${model.message && html`<p class="error"><${Prose} text=${model.message} /></p>`}

@@ -9,6 +9,7 @@ import { go } from "../lib/route.js";
 import { documentOf, draftFrom, examples } from "../lib/sweep_draft.js";
 import { Field } from "../parts/field.js";
 import { Failure, Loading } from "../parts/elements.js";
+import { ProjectChoice } from "../parts/whose.js";
 import { Axes } from "./new_sweep/axes.js";
 import { JobPart } from "./new_sweep/job.js";
 import { MethodPart, Objectives, Size } from "./new_sweep/method.js";
@@ -56,6 +57,7 @@ function Form({ all, environments, begun, given, jobs }) {
         <${Objectives} ...${fields} environment=${environment.data} />
         <fieldset><legend>About the sweep</legend><div class="fields">
           ${["name", "labels"].map((name) => html`<${Field} key=${name} ...${fields} path=${[name]} schema=${schema[name]} />`)}
+          <${ProjectChoice} value=${draft.project} errors=${errors} onChange=${(project) => set(["project"], project)} />
         </div></fieldset>
       </div>
       <aside aria-label="Preview">

@@ -1,12 +1,13 @@
 /** A job by a form that is made from the service's own JSON Schemas. */
 
 import { get, post } from "../lib/api.js";
-import { fromAddress, useSubmission } from "../lib/draft.js";
+import { fromAddress, put, useSubmission } from "../lib/draft.js";
 import { html, useEffect, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { go, href } from "../lib/route.js";
 import { schemas } from "../lib/schemas.js";
 import { Failure, Loading } from "../parts/elements.js";
+import { ProjectChoice } from "../parts/whose.js";
 import { Body } from "./submit/environment.js";
 import { AsCode, Errors, JobFields, useEnvironment } from "./submit/job.js";
 
@@ -32,7 +33,9 @@ function Form({ all, environments, draft }) {
     <form class="form" onSubmit=${submit} novalidate>
       <div class="stack">
         ${problem && html`<${Errors} problem=${problem} errors=${errors} box=${summary} />`}
-        <${JobFields} all=${all} document=${document} change=${setDocument} errors=${errors} environments=${environments} environment=${environment} />
+        <${JobFields} all=${all} document=${document} change=${setDocument} errors=${errors} environments=${environments} environment=${environment}>
+          <${ProjectChoice} value=${document.project} errors=${errors} onChange=${(project) => setDocument((before) => put(before, ["project"], project))} />
+        <//>
       </div>
       <aside aria-label="Preview">
         <p class="actions"><button class="main" disabled=${isBusy}>${isBusy ? "Submitting…" : "Submit"}</button>

@@ -9,6 +9,7 @@ import { change, href, useTitle } from "../lib/route.js";
 import { byObjective, chosenObjective, isOver, objectivesOf, title } from "../lib/sweep.js";
 import { Confirm, Copy, Failure, Loading } from "../parts/elements.js";
 import { Labels, Status } from "../parts/job_row.js";
+import { whose } from "../parts/whose.js";
 import { Front } from "./sweep/front.js";
 import { BestSoFar, Importance } from "./sweep/results.js";
 import { Groups } from "./sweep/groups.js";
@@ -72,7 +73,7 @@ function Head({ sweep, objective, again }) {
     </div>
     <div class="about-job">
       <${Status} job=${sweep} />
-      <span class="facts">${counted || "no trial yet"}, of ${sweep.max_trials} at most · ${sweep.spec.method} · began ${ago(sweep.created_at)}${sweep.finished_at ? `, took ${duration(seconds(sweep.created_at, sweep.finished_at))}` : ""}</span>
+      <span class="facts">${counted || "no trial yet"}, of ${sweep.max_trials} at most · ${sweep.spec.method} · began ${ago(sweep.created_at)}${sweep.finished_at ? `, took ${duration(seconds(sweep.created_at, sweep.finished_at))}` : ""}${whose(sweep)}</span>
       <a href=${href(["jobs"], { label: `sweep:${sweep.id}` })}>Its jobs</a>
     </div>
     <${Labels} labels=${sweep.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />

@@ -5,17 +5,20 @@ import { ago, value } from "../lib/format.js";
 import { html } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { href } from "../lib/route.js";
+import { session } from "../lib/session.js";
 import { isOver, objectivesOf, title } from "../lib/sweep.js";
 import { Empty, Failure, Loading, Pages } from "../parts/elements.js";
 import { Status } from "../parts/job_row.js";
+import { WHOSE, whose, WhoseFilters } from "../parts/whose.js";
 
 const LIMIT = 50;
 
 export default function Sweeps({ query }) {
   const cursor = query.get("cursor");
+  const asked = Object.fromEntries(WHOSE.map((name) => [name, query.getAll(name)]));
   const { data, error, again } = useLive(
-    (signal) => get("/sweeps", { cursor, limit: LIMIT }, { signal }),
-    [cursor],
+    (signal) => get("/sweeps", { ...asked, cursor, limit: LIMIT }, { signal }),
+    [JSON.stringify(asked), cursor],
     (page) => (page.items.some((sweep) => !isOver(sweep)) ? 3000 : 10_000),
   );
   if (!data) return error ? html`<${Failure} error=${error} again=${again} />` : html`<${Loading} what="sweeps" />`;
@@ -24,6 +27,7 @@ export default function Sweeps({ query }) {
       <h1>Sweeps</h1>
       <a class="button" href="#/sweeps/new">Start a sweep</a>
     </div>
+    <${Filters} asked=${asked} />
     ${error && html`<${Failure} error=${error} again=${again} />`}
     ${!data.items.length && html`<${Empty}>
       <p>No sweeps yet.</p>
@@ -38,11 +42,13 @@ export default function Sweeps({ query }) {
   </div>`;
 }
 
+const Filters = ({ asked }) => session().accounts && html`<search class="filters"><${WhoseFilters} asked=${asked} /></search>`;
+
 function Row({ sweep }) {
   const begun = Object.values(sweep.num_trials).reduce((sum, number) => sum + number, 0);
   const [best] = sweep.best;
   return html`<tr>
-    <td><a href=${href(["sweeps", sweep.id])}>${title(sweep)}</a></td>
+    <td><a href=${href(["sweeps", sweep.id])}>${title(sweep)}</a>${session().accounts && html`<span class="facts">${whose(sweep)}</span>`}</td>
     <td>${sweep.spec.method}</td>
     <td><${Status} job=${sweep} /></td>
     <td class="number">${begun} of ${sweep.max_trials}</td>

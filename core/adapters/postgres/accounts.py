@@ -9,10 +9,20 @@ from sqlalchemy import Connection, Row, Select, delete, func, or_, select, updat
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
 from core.accounts.principal import Principal, Role, TokenScope
-from core.accounts.store import Actor, AuditEntry, AuditPage, KnownToken, Project, Token, User
+from core.accounts.store import (
+    Actor,
+    AuditEntry,
+    AuditPage,
+    KnownSession,
+    KnownToken,
+    PageSession,
+    Project,
+    Token,
+    User,
+)
 from core.accounts.tokens import Secret
 from core.adapters.postgres.engine import Session
-from core.adapters.postgres.tables import NOW, audit, members, projects, tokens, users
+from core.adapters.postgres.tables import NOW, audit, members, projects, sessions, tokens, users
 from core.errors import (
     LastAdmin,
     Problem,
@@ -24,7 +34,7 @@ from core.errors import (
     UserNotFound,
 )
 
-# A token's last use is written at most this often.
+# The last use of a token or a session is written at most this often.
 _USE_NOTED_EVERY = timedelta(minutes=1)
 _MEMBERSHIPS = (
     select(func.array_agg(aggregate_order_by(members.c.project, members.c.project)))
@@ -47,6 +57,19 @@ _WAS_USED = or_(tokens.c.last_used_at.is_(None), tokens.c.last_used_at < NOW - _
 _KNOWN_TOKEN = _TOKENS.add_columns(
     tokens.c.sha256, users.c.role, users.c.active, _MEMBERSHIPS, _WAS_USED.label("is_use_to_note")
 ).join(users, users.c.name == tokens.c.user_name)
+_KNOWN_SESSION = (
+    select(
+        sessions,
+        users.c.role,
+        users.c.active,
+        _MEMBERSHIPS,
+        tokens.c.expires_at.label("token_expires_at"),
+        (sessions.c.last_used_at < NOW - _USE_NOTED_EVERY).label("is_use_to_note"),
+    )
+    .join(users, users.c.name == sessions.c.user_name)
+    .outerjoin(tokens, tokens.c.id == sessions.c.token)
+    .where(sessions.c.expires_at > NOW)
+)
 _AUDIT = select(*(column for column in audit.c if column.name != "user_name")).add_columns(
     audit.c.user_name.label("user")
 )
@@ -73,6 +96,45 @@ class AccountQueries(Session):
             token.expires_at,
         )
         return KnownToken(token, row.sha256, row.active, principal)
+
+    def add_session(self, session: PageSession, secret: Secret, actor: Actor) -> None:
+        values = session.model_dump(include={"id", "token", "created_at", "expires_at"})
+        new = insert(sessions).values(
+            **values,
+            user_name=session.user,
+            scope=session.scope.value,
+            sha256=secret.sha256,
+            last_used_at=session.created_at,
+        )
+        with self._transaction() as connection:
+            _find_user(connection, session.user)
+            connection.execute(delete(sessions).where(sessions.c.expires_at <= NOW))
+            connection.execute(new)
+            _note(connection, actor, "session.begun", f"user {session.user}", scope=session.scope)
+
+    def find_session(self, session_id: str, idle: timedelta) -> KnownSession | None:
+        its = sessions.c.id == session_id
+        with self._statements() as connection:
+            row = connection.execute(_KNOWN_SESSION.where(its, sessions.c.last_used_at > NOW - idle)).first()
+            if row is None:
+                return None
+            if row.is_use_to_note:
+                connection.execute(update(sessions).where(its).values(last_used_at=NOW))
+        principal = Principal(
+            row.user_name,
+            Role(row.role),
+            TokenScope(row.scope),
+            frozenset(row.projects or ()),
+            row.token,
+            row.token_expires_at,
+        )
+        return KnownSession(row.sha256, row.active, principal)
+
+    def end_session(self, session_id: str, actor: Actor) -> None:
+        ended = delete(sessions).where(sessions.c.id == session_id).returning(sessions.c.user_name)
+        with self._transaction() as connection:
+            if (row := connection.execute(ended).first()) is not None:
+                _note(connection, actor, "session.ended", f"user {row.user_name}")
 
     def add_user(self, user: User, actor: Actor) -> User:
         values = {"name": user.name, "role": user.role.value, "active": user.active, "subject": user.subject}
@@ -111,6 +173,8 @@ class AccountQueries(Session):
                 if before.role is Role.ADMIN and before.active and not keeps and not others:
                     raise LastAdmin(name)
                 connection.execute(update(users).where(users.c.name == name).values(**changes))
+                if active is False:
+                    connection.execute(delete(sessions).where(sessions.c.user_name == name))
                 _note(connection, actor, "user.changed", f"user {name}", **changes)
             return _find_user(connection, name)
 
@@ -176,6 +240,7 @@ class AccountQueries(Session):
             if row is None:
                 raise TokenNotFound(token_id[:64])
             if is_new:
+                connection.execute(delete(sessions).where(sessions.c.token == token_id))
                 _note(connection, actor, "token.revoked", f"token {token_id}", user=row.user)
             return _token(row)
 

@@ -19,6 +19,7 @@ pulse       one row: when the reconciler last reached this database
 users, projects, members   who may use the service, and who sees what
 model_projects   the projects in which a model was sent, each with who sent it there first
 tokens      API tokens, by a public id and the hash of the whole
+sessions    who is signed in on the page, as tokens
 audit       what was done; a trigger forbids to change or remove a row
 
 Documents are JSON stored as text: PostgreSQL's JSON types refuse the character U+0000, which a log may hold.
@@ -343,6 +344,19 @@ tokens = Table(
     _moment("revoked_at"),
 )
 Index("tokens_by_user", tokens.c.user_name)
+
+sessions = Table(
+    "sessions",
+    metadata,
+    Column("id", Text, primary_key=True),
+    Column[Any]("user_name", ForeignKey(users.c.name), nullable=False),
+    Column[Any]("token", ForeignKey(tokens.c.id)),
+    Column("scope", Text, nullable=False),
+    Column("sha256", Text, nullable=False),
+    _moment("created_at", nullable=False),
+    _moment("last_used_at", nullable=False),
+    _moment("expires_at", nullable=False),
+)
 
 audit = Table(
     "audit",

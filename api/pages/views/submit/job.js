@@ -9,10 +9,13 @@ import { Field } from "../../parts/field.js";
 import { AlgorithmPart, EnvironmentPart } from "./environment.js";
 
 const FIRST = ["name", "labels", "seed"];
-const PLACED = new Set([...FIRST, "kind", "environment", "algorithm", "policy"]);
+const PLACED = new Set([...FIRST, "project", "kind", "environment", "algorithm", "policy"]);
 
-/** change: gets a function from the job's document to the next one. environment: what `useEnvironment` returns. */
-export function JobFields({ all, document, change, errors, environments, environment }) {
+/**
+ * change: gets a function from the job's document to the next one. environment: what `useEnvironment` returns.
+ * Children: further fields about it.
+ */
+export function JobFields({ all, document, change, errors, environments, environment, children }) {
   const set = (path, value) => change((before) => put(before, path, value));
   const fields = { all, document, set, errors };
   const schema = all[document.kind === "rollout" ? "RolloutSpec" : "TrainSpec"];
@@ -24,7 +27,7 @@ export function JobFields({ all, document, change, errors, environments, environ
     ${document.kind === "rollout"
       ? html`<fieldset><legend>Policy</legend><${Field} ...${fields} path=${["policy"]} schema=${schema.properties.policy} isOpen /></fieldset>`
       : html`<${AlgorithmPart} ...${fields} schema=${schema.properties.algorithm} environment=${environment.data} />`}
-    <fieldset><legend>About it</legend><div class="fields">${FIRST.map(draw)}</div></fieldset>
+    <fieldset><legend>About it</legend><div class="fields">${FIRST.map(draw)}${children}</div></fieldset>
     <fieldset><legend>Everything else</legend><div class="fields">${rest.map(draw)}</div></fieldset>
   `;
 }
