@@ -64,6 +64,8 @@ ROUTES: Mapping[str, Access] = {
     "GET /session": _OPEN,
     "POST /session": _OPEN,
     "DELETE /session": _OPEN,
+    "POST /session/oidc": _OPEN,
+    "GET /session/oidc": _OPEN,
     "GET /whoami": _READ,
     "GET /environments": _READ,
     "GET /environments/{environment_id}": _READ,

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from api.audit_log import AuditLog
 from api.authentication import Authenticator, RequestLimit
 from api.monitoring import RecentReading
+from api.oidc import IdentityProvider
 from api.shared_reads import JobWatcher, Owners, RecentAnswers, SharedReads
 from core.accounts.store import AccountStore
 from core.jobs import feeds
@@ -44,6 +45,7 @@ class Service:
     num_uploads: models that are being received now.
     num_imports: exports that are being received or stored now.
     authenticator: finds out who makes a request; None if the service has no accounts.
+    provider: where users sign in; None if there is no identity provider.
     sign_ins: counts those that fail, by address.
     owners: of the jobs and sweeps that were asked for last.
     """
@@ -63,6 +65,7 @@ class Service:
     lists: RecentAnswers = field(default_factory=RecentAnswers)
     acknowledgements: Acknowledgements = field(init=False)
     authenticator: Authenticator | None = field(init=False)
+    provider: IdentityProvider | None = field(init=False)
     sign_ins: RequestLimit = field(init=False)
     owners: Owners = field(default_factory=Owners)
     audit_log: AuditLog = field(init=False)
@@ -77,6 +80,7 @@ class Service:
             self.authenticator = Authenticator(
                 self.store, settings.requests_per_second, settings.session_idle
             )
+        self.provider = None if settings.oidc_issuer is None else IdentityProvider(settings)
         sentence = "More than {most:g} sign-ins from this address have failed within a minute"
         self.sign_ins = RequestLimit(settings.sign_ins_per_minute, 60.0, 60.0, sentence)
         self.audit_log = AuditLog(self.store.note)

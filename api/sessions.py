@@ -17,6 +17,7 @@ HEADER = "X-Gaitway-Page"
 _COOKIE = "gaitway_session"
 # Browsers take a cookie of this prefix only over TLS, and from no other host of the domain.
 _COOKIE_OVER_TLS = f"__Host-{_COOKIE}"
+_ATTEMPT = "gaitway_sign_in"
 _HARMLESS = ("GET", "HEAD")
 
 
@@ -57,6 +58,23 @@ def keep(response: Response, session: Secret, lifetime: timedelta, *, over_tls: 
         httponly=True,
         samesite="lax",  # Links from elsewhere to a video work; forms and pictures there bring no cookie.
     )
+
+
+def keep_attempt(response: Response, text: str, path: str, *, over_tls: bool) -> None:
+    """Have the browser keep a sign-in that has begun at the identity provider, for ten minutes."""
+    response.set_cookie(
+        _ATTEMPT, text, max_age=600, path=path, secure=over_tls, httponly=True, samesite="lax"
+    )
+
+
+def attempt_of(request: Request) -> str:
+    """What `keep_attempt` had the browser keep, or nothing."""
+    return request.cookies.get(_ATTEMPT, "")
+
+
+def forget_attempt(response: Response, path: str) -> None:
+    """Each attempt is used once."""
+    response.delete_cookie(_ATTEMPT, path=path, httponly=True, samesite="lax")
 
 
 def forget(response: Response) -> None:

@@ -276,6 +276,18 @@ class UserExists(Conflict):
         super().__init__(f"There is a user {name!r} already.", user=name)
 
 
+class SubjectDiffers(Conflict):
+    code = "subject-differs"
+    title = "The name belongs to another account of the identity provider"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"The user {name!r} here belongs to another account of the identity provider, which had the name "
+            "before. An admin gives this person another name, or disables the old user.",
+            user=name,
+        )
+
+
 class ProjectExists(Conflict):
     code = "project-exists"
     title = "The project exists already"

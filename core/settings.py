@@ -6,6 +6,7 @@ StoreSettings            what every process needs: where the record, the queue a
 └── ReconcilerSettings
 """
 
+import json
 import ssl
 from datetime import timedelta
 from ipaddress import ip_address
@@ -16,16 +17,19 @@ from urllib.parse import quote, urlsplit
 from pydantic import (
     AfterValidator,
     AwareDatetime,
+    BaseModel,
     BeforeValidator,
     ByteSize,
+    ConfigDict,
     Field,
     SecretStr,
     ValidationInfo,
     field_validator,
     model_validator,
 )
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from core.bounds import ACCOUNT_NAME
 from core.devices import GPUS, num_cores
 from core.variables import PREFIX
 
@@ -101,6 +105,32 @@ WorkerDatabase = Annotated[
         "a user of its own: the reconciler gives that user rights on the tables of jobs alone."
     ),
 ]
+
+
+def _json(value: Any) -> Any:
+    try:
+        return json.loads(value) if isinstance(value, str) else value
+    except ValueError as error:
+        raise ValueError(f"write it as JSON ({error})") from None
+
+
+def is_safe_address(address: str) -> bool:
+    """Whether nobody between can read along: over TLS, or on this very machine."""
+    try:
+        parts = urlsplit(address)
+    except ValueError:
+        return False
+    is_here = parts.hostname in ("127.0.0.1", "localhost", "::1")
+    return bool(parts.hostname) and (parts.scheme == "https" or (parts.scheme == "http" and is_here))
+
+
+class GroupGrant(BaseModel):
+    """What the members of one of the identity provider's groups get here."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    role: Literal["viewer", "submitter", "admin"] = "submitter"
+    projects: frozenset[Annotated[str, Field(pattern=f"^{ACCOUNT_NAME}$")]] = frozenset()
 
 
 class StoreSettings(BaseSettings):
@@ -234,11 +264,68 @@ class ApiSettings(StoreSettings):
         description="How many sign-ins on the page may fail in a minute from one address, in each process; "
         "further ones are answered 429.",
     )
+    oidc_issuer: str | None = Field(
+        None,
+        description="Where users sign in on the page (OpenID Connect): the identity provider's issuer as it "
+        "calls itself, https://…; docs/teams.md has those of Keycloak, Google, Dex and Microsoft Entra.",
+    )
+    oidc_client_id: str | None = Field(None, min_length=1, description="This service's id at the provider.")
+    oidc_client_secret: SecretStr | None = Field(
+        None, min_length=1, description="The secret that belongs to the id; a public client has none."
+    )
+    oidc_name: str = Field(
+        "single sign-on", min_length=1, max_length=60, description="What the page calls the provider."
+    )
+    oidc_scopes: str = Field(
+        "openid profile email", pattern=r"^openid( |$)", description="What is asked of the provider."
+    )
+    oidc_user_claim: str = Field(
+        "preferred_username",
+        min_length=1,
+        description="The claim that names the user, such as `email`. People must not be able to choose it.",
+    )
+    oidc_domains: str = Field(
+        "",
+        description="Domains of the addresses that may sign in, separated by commas; `*` lets in everybody "
+        "whom the provider knows. Needed, unless GAITWAY_OIDC_GROUPS says who may.",
+    )
+    oidc_groups: Annotated[dict[str, GroupGrant], NoDecode, BeforeValidator(_json)] = Field(
+        {},
+        description="Groups that may sign in, with the role and the projects that they give, as JSON: "
+        '`{"legs": {"role": "submitter", "projects": ["gaits"]}, "legs-admins": {"role": "admin"}}`. Each '
+        "sign-in gives these again.",
+    )
+    oidc_groups_claim: str = Field("groups", min_length=1, description="The claim that lists the groups.")
+    oidc_role: Literal["viewer", "submitter", "admin"] = Field(
+        "submitter", description="The role of a user who signs in for the first time, without groups."
+    )
+    oidc_projects: str = Field(
+        "default",
+        pattern=f"^({ACCOUNT_NAME}(, *{ACCOUNT_NAME})*)?$",
+        description="Projects that a new user enters, separated by commas; made if they are missing.",
+    )
     allowed_hosts: str = Field(
         "",
         description="Names of the API besides localhost and numeric addresses, separated by commas. Requests "
         "that name another host are refused; pages of these hosts may use the API.",
     )
+
+    @model_validator(mode="after")
+    def _knows_whom_to_let_in(self) -> Self:
+        if self.oidc_issuer is None:
+            return self
+        if not is_safe_address(self.oidc_issuer):
+            raise ValueError(f"{PREFIX}OIDC_ISSUER begins with https://.")
+        if self.oidc_client_id is None:
+            raise ValueError(f"{PREFIX}OIDC_ISSUER needs {PREFIX}OIDC_CLIENT_ID.")
+        if not self.accounts:
+            raise ValueError(f"{PREFIX}OIDC_ISSUER needs {PREFIX}ACCOUNTS=true.")
+        if not self.oidc_groups and not self.oidc_domains.strip():
+            raise ValueError(
+                f"{PREFIX}OIDC_ISSUER needs {PREFIX}OIDC_DOMAINS or {PREFIX}OIDC_GROUPS, which say who "
+                f"may sign in; {PREFIX}OIDC_DOMAINS=* lets in everybody whom the provider knows."
+            )
+        return self
 
     @property
     def num_processes(self) -> int:

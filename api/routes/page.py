@@ -52,6 +52,16 @@ async def show_page(request: Request) -> Response:
     return _answer(request, page_files().by_path["index.html"], _CHECK_EACH_TIME)
 
 
+def page_with_refusal(sentence: str, status: int) -> Response:
+    """The page, which shows why a sign-in at the identity provider was refused."""
+    here = page_files().by_path["index.html"]
+    meta = f'<meta name="refusal" content="{html.escape(sentence)}"><title>'
+    content = here.content.replace(b"<title>", meta.encode(), 1)
+    return Response(
+        content, status, headers={**_HEADERS, "Cache-Control": "no-store"}, media_type=here.media_type
+    )
+
+
 @router.get("/docs", include_in_schema=False)
 async def show_docs(request: Request) -> Response:
     """The HTTP interface, to read and to try."""

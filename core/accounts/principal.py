@@ -16,10 +16,11 @@ from typing import Annotated
 
 from pydantic import Field
 
+from core.bounds import ACCOUNT_NAME
 from core.errors import Problem, Rejected
 
 DEFAULT_PROJECT = "default"
-NAME = r"[a-z0-9][a-z0-9._@-]{0,62}"
+NAME = ACCOUNT_NAME
 # The name of a user or a project.
 AccountName = Annotated[str, Field(pattern=f"^{NAME}$", examples=["ann"])]
 

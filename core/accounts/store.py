@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from pydantic import Field
 
 from core.accounts.principal import Principal, Role, TokenScope
+from core.accounts.provider import Grant
 from core.accounts.tokens import Secret
 from core.documents import Stored
 
@@ -154,6 +155,14 @@ class AccountStore(Protocol):
         """Disabling a user ends their sessions.
 
         Raises UserNotFound; LastAdmin where no active admin would be left.
+        """
+        ...
+
+    def admit(self, grant: Grant, actor: Actor) -> User:
+        """Who signs in at the identity provider: known by the subject, or by a name without one, or new.
+
+        Projects that are missing are made. Nothing of a disabled user changes, and the last active admin
+        stays one. Raises SubjectDiffers where another one of the provider's users has the name.
         """
         ...
 

@@ -35,6 +35,12 @@ class SessionView(View):
     who: WhoView | None = None
 
 
+class ProviderView(View):
+    """Where the page sends the browser to sign in. location: at the identity provider."""
+
+    location: str
+
+
 class UserView(View):
     """A user. subject: that of the identity provider, once the user has signed in there."""
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import timedelta
+from typing import Any
 
 import httpx
 from fastapi import FastAPI
@@ -62,9 +63,9 @@ class Lab:
 
 
 @contextmanager
-def opened(app: FastAPI, stack: Stack) -> Iterator[Lab]:
-    """The stack's service, with accounts."""
-    settings = NOWHERE.model_copy(update={"accounts": True})
+def opened(app: FastAPI, stack: Stack, **changes: Any) -> Iterator[Lab]:
+    """The stack's service, with accounts. changes: of its settings."""
+    settings = NOWHERE.model_copy(update={"accounts": True, **changes})
     parts = stack.service
     service = Service(settings, parts.store, parts.queue, parts.objects)
     app.state.service = service

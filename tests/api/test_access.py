@@ -23,6 +23,7 @@ from tests.api.problems import problem
 # What each route needs, said again: a GET reads and everything else submits, but for these.
 OPEN = {"GET /", "GET /docs", "GET /pages/{version}/{path:path}", "GET /problems/{code}"}
 OPEN |= {"GET /healthz", "GET /readyz", "GET /session", "POST /session", "DELETE /session"}
+OPEN |= {"POST /session/oidc", "GET /session/oidc"}
 FOR_ADMINS = {"GET /users", "POST /users", "PATCH /users/{name}", "GET /audit"}
 FOR_ADMINS |= {"POST /projects", "PATCH /projects/{name}"}
 FOR_WORKERS = "GET /workers/settings"

@@ -9,6 +9,7 @@ import { Prose } from "../parts/elements.js";
 
 /** What a sign-in at the provider came to, which the service wrote into this very page. */
 const refusal = document.querySelector('meta[name="refusal"]')?.content;
+if (refusal) history.replaceState(null, "", `/${location.hash}`); // The address was the provider's answer.
 
 /** provider: its name, or null. onDone: called once somebody is signed in. */
 export default function SignIn({ provider, onDone }) {

@@ -9,6 +9,7 @@ from sqlalchemy import Connection, Row, Select, delete, func, or_, select, updat
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
 from core.accounts.principal import Principal, Role, TokenScope
+from core.accounts.provider import Grant
 from core.accounts.store import (
     Actor,
     AuditEntry,
@@ -29,6 +30,7 @@ from core.errors import (
     ProjectExists,
     ProjectNotFound,
     Rejected,
+    SubjectDiffers,
     TokenNotFound,
     UserExists,
     UserNotFound,
@@ -178,6 +180,30 @@ class AccountQueries(Session):
                 _note(connection, actor, "user.changed", f"user {name}", **changes)
             return _find_user(connection, name)
 
+    def admit(self, grant: Grant, actor: Actor) -> User:
+        new = insert(users).values(
+            name=grant.name, role=grant.role.value, subject=grant.subject, created_at=NOW
+        )
+        known = select(users.c.name, users.c.subject).with_for_update()
+        with self._transaction() as connection:
+            row = connection.execute(known.where(users.c.subject == grant.subject)).first()
+            is_new = row is None and bool(
+                connection.execute(new.on_conflict_do_nothing().returning(users.c.name)).first()
+            )
+            name = grant.name if row is None else row.name
+            if row is None and not is_new:
+                row = connection.execute(known.where(users.c.name == name)).one()
+                if row.subject not in (None, grant.subject):
+                    raise SubjectDiffers(name)
+                connection.execute(update(users).where(users.c.name == name).values(subject=grant.subject))
+            user = _find_user(connection, name)
+            if user.active:
+                _adjust(connection, user, grant, is_new=is_new)
+            user = _find_user(connection, name)
+            if is_new:
+                _note(connection, actor, "user.added", f"user {name}", role=user.role, projects=user.projects)
+            return user
+
     def add_project(self, name: str, actor: Actor) -> Project:
         new = insert(projects).values(name=name, created_at=NOW)
         new = new.on_conflict_do_nothing(index_elements=["name"]).returning(projects.c.name)
@@ -271,6 +297,26 @@ class AccountQueries(Session):
         with self._statements() as connection:
             found = [_entry(row) for row in connection.execute(wanted)]
         return AuditPage(found[:limit], str(found[limit - 1].id) if len(found) > limit else None)
+
+
+def _adjust(connection: Connection, user: User, grant: Grant, *, is_new: bool) -> None:
+    """Give the user the role and the projects that the provider's groups say, or that a new one gets."""
+    if not (is_new or grant.is_kept):
+        return
+    others = select(users.c.name).where(
+        users.c.role == Role.ADMIN.value, users.c.active, users.c.name != user.name
+    )
+    is_last_admin = user.role is Role.ADMIN and not connection.execute(others.limit(1)).first()
+    if grant.role is not user.role and not is_last_admin:
+        connection.execute(update(users).where(users.c.name == user.name).values(role=grant.role.value))
+        actor = Actor(user.name)
+        _note(connection, actor, "user.changed", f"user {user.name}", role=grant.role, by="groups")
+    for project in sorted(grant.projects.difference(user.projects)):
+        made = insert(projects).values(name=project, created_at=NOW).on_conflict_do_nothing()
+        connection.execute(made)
+        connection.execute(insert(members).values(project=project, user_name=user.name))
+    left = grant.managed.difference(grant.projects).intersection(user.projects)
+    connection.execute(delete(members).where(members.c.user_name == user.name, members.c.project.in_(left)))
 
 
 def _belongs_to(user: str) -> Any:

@@ -12,7 +12,9 @@ from api import authentication
 from core.accounts.principal import TokenScope
 from tests.api.accounts import NOBODY, Lab, opened
 from tests.api.conftest import Attempt, Stack, job
+from tests.api.identity_provider import provided
 from tests.api.pages.conftest import MakeTab, Tab, flaws
+from tests.api.test_oidc import KIM, rules
 
 _FETCH = """(url) => fetch(url, {
   method: "POST",
@@ -221,3 +223,23 @@ def test_without_accounts_nothing_of_them_is_shown(stack: Stack, tab: Tab) -> No
     tab.open("#/submit")
     expect(page.get_by_role("button", name="Submit")).to_be_visible()
     expect(page.get_by_label("project", exact=True)).to_have_count(0)
+
+
+def test_the_identity_provider_signs_in_and_a_refusal_is_a_sentence(
+    server: tuple[FastAPI, int], stack: Stack, tab: Tab
+) -> None:
+    with provided() as provider, opened(server[0], stack, **rules(provider)) as lab:
+        attempt = owned(lab.stack, 1, "ann", "default")
+        provider.claims = {**KIM, "email": "kim@evil.example"}
+        page = tab.open(f"#/jobs/{attempt.id}/files")
+        page.get_by_role("button", name="Sign in with single sign-on").click()
+        expect(page.get_by_role("alert")).to_contain_text("evil.example may not sign in")
+        assert page.url == f"{tab.url}/"
+        assert flaws(page) == []
+        tab.picture("sign-in-refused")
+        provider.claims = dict(KIM)
+        page = tab.open(f"#/jobs/{attempt.id}/files")
+        page.get_by_role("button", name="Sign in with single sign-on").click()
+        expect(page.get_by_role("heading", name="of ann in default")).to_be_visible()
+        assert page.url == f"{tab.url}/#/jobs/{attempt.id}/files"
+        expect(page.get_by_role("link", name="kim", exact=True)).to_be_visible()

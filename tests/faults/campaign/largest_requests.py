@@ -395,6 +395,10 @@ def _of_accounts(method: str, path: str, **document: Any) -> Forms:
 _MEMBERS = [f"{n:063}" for n in range(1000)]
 _FORMS: dict[str, Forms] = {
     "GET /whoami": _get("/whoami"),
+    "GET /session": _get("/session"),
+    "POST /session": _of_accounts("POST", "/session", token="t" * 200),
+    "DELETE /session": _of_accounts("DELETE", "/session"),
+    "POST /session/oidc": _of_accounts("POST", "/session/oidc", back=f"#/{'b' * 1998}"),
     "GET /projects": _get("/projects"),
     "POST /projects": _of_accounts("POST", "/projects", name="p" * 63),
     "PATCH /projects/{name}": _of_accounts("PATCH", "/projects/p", add=_MEMBERS, remove=_MEMBERS),
