@@ -21,9 +21,10 @@ GaitwayError
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-import httpx
+if TYPE_CHECKING:
+    import httpx
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class MissingExtra(GaitwayError, ImportError):
     """Needs an optional part of the package."""
 
 
-def is_refusal(response: httpx.Response) -> bool:
+def is_refusal(response: "httpx.Response") -> bool:
     """Whether it is a problem, whose body tells more."""
     return not response.is_success and response.status_code != 304
 
@@ -133,6 +134,8 @@ def is_refusal(response: httpx.Response) -> bool:
 @contextmanager
 def reachable(url: str) -> Generator[None]:
     """Raises Unreachable for whatever keeps an answer from coming."""
+    import httpx  # The API has these errors, too, and no need of httpx, which takes 7 MB.
+
     try:
         yield
     except (httpx.TransportError, httpx.StreamError) as error:
@@ -141,14 +144,14 @@ def reachable(url: str) -> Generator[None]:
         raise Unreachable(url, str(error)) from error
 
 
-def problem_of(response: httpx.Response) -> ApiError:
+def problem_of(response: "httpx.Response") -> ApiError:
     """The error for an answer with status ≥ 400; its body must have been read."""
     retry_after_s = retry_after(response)
     family = _family(response.status_code, retry_after_s)
     return family(response.status_code, _document(response), retry_after_s)
 
 
-def retry_after(response: httpx.Response) -> float | None:
+def retry_after(response: "httpx.Response") -> float | None:
     """The seconds of a Retry-After header; None where there is none or it is a date."""
     try:
         return max(0.0, float(response.headers["Retry-After"]))
@@ -168,7 +171,7 @@ def _family(status: int, retry_after_s: float | None) -> type[ApiError]:
     return Rejected if 400 <= status < 500 else ApiError
 
 
-def _document(response: httpx.Response) -> Mapping[str, Any]:
+def _document(response: "httpx.Response") -> Mapping[str, Any]:
     try:
         document: Any = response.json()
     except ValueError:

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import hmac
 import json
 import secrets
 import threading
@@ -9,11 +10,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Annotated, Any
-from urllib.parse import urlencode
+from typing import Any
+from urllib.parse import parse_qsl, urlencode
 
 import uvicorn
-from fastapi import FastAPI, Form, HTTPException, Request, Response
+from fastapi import FastAPI, HTTPException, Request, Response
 from fastapi.responses import JSONResponse, RedirectResponse
 from joserfc import jwt
 from joserfc.jwk import RSAKey
@@ -78,13 +79,10 @@ class Provider:
             return RedirectResponse(f"{asked['redirect_uri']}?{urlencode(answer)}", 302)
 
         @app.post("/token")
-        def token(
-            request: Request,
-            code: Annotated[str, Form()],
-            code_verifier: Annotated[str, Form()],
-            redirect_uri: Annotated[str, Form()],
-        ) -> Any:
-            asked = self._codes.pop(code, None)
+        async def token(request: Request) -> Any:
+            form = dict(parse_qsl((await request.body()).decode()))
+            code_verifier, redirect_uri = form["code_verifier"], form["redirect_uri"]
+            asked = self._codes.pop(form["code"], None)
             challenge = base64.urlsafe_b64encode(hashlib.sha256(code_verifier.encode()).digest())
             sent = base64.b64decode(request.headers["authorization"].partition(" ")[2]).decode()
             if sent != "gaitway:s3cret%2F%2B%20with%20signs":
@@ -112,11 +110,21 @@ class Provider:
 
 def unsigned(header: dict[str, Any], claims: dict[str, Any]) -> str:
     """A token of the algorithm `none`."""
-    parts = ({**header, "alg": "none"}, claims)
-    return (
-        ".".join(base64.urlsafe_b64encode(json.dumps(one).encode()).decode().rstrip("=") for one in parts)
-        + "."
-    )
+    return f"{_encoded({**header, 'alg': 'none'}, claims)}."
+
+
+def signed_by_hmac(header: dict[str, Any], claims: dict[str, Any], key: str) -> str:
+    """A token that whoever has the key can make; by hand, since joserfc refuses a public key here."""
+    text = _encoded({**header, "alg": "HS256"}, claims)
+    return f"{text}.{_base64(hmac.digest(key.encode(), text.encode(), 'sha256'))}"
+
+
+def _encoded(*parts: dict[str, Any]) -> str:
+    return ".".join(_base64(json.dumps(part).encode()) for part in parts)
+
+
+def _base64(content: bytes) -> str:
+    return base64.urlsafe_b64encode(content).decode().rstrip("=")
 
 
 @contextmanager

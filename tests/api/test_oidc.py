@@ -8,7 +8,7 @@ import httpx
 import pytest
 from fastapi import FastAPI
 from joserfc import jwt
-from joserfc.jwk import OctKey, RSAKey
+from joserfc.jwk import RSAKey
 from pydantic import SecretStr
 
 from api import oidc
@@ -16,7 +16,7 @@ from core.accounts.principal import Role
 from core.settings import ApiSettings, GroupGrant
 from tests.api.accounts import NOBODY, USERS, Lab, opened
 from tests.api.conftest import NOWHERE, Stack
-from tests.api.identity_provider import CLIENT, SECRET, Provider, provided, unsigned
+from tests.api.identity_provider import CLIENT, SECRET, Provider, provided, signed_by_hmac, unsigned
 from tests.api.problems import problem
 from tests.api.test_sessions import PAGE
 
@@ -180,9 +180,7 @@ def test_a_token_that_the_provider_has_not_signed_is_refused(
     lab: Lab, browser: httpx.Client, provider: Provider, how: str
 ) -> None:
     def hmac_by(key: str) -> Callable[[dict[str, Any], dict[str, Any]], str]:
-        return lambda header, claims: jwt.encode(
-            {**header, "alg": "HS256"}, claims, OctKey.import_key(key), algorithms=["HS256"]
-        )
+        return lambda header, claims: signed_by_hmac(header, claims, key)
 
     foreign = RSAKey.generate_key(2048)
     provider.sign = {
