@@ -214,7 +214,7 @@ class ApiSettings(StoreSettings):
         0,
         ge=0,
         le=64,
-        description="How many processes answer requests; each takes at most one core and 120 MB. 0 means one "
+        description="How many processes answer requests; each takes at most one core and 125 MB. 0 means one "
         "for every four cores of the machine, and at most four.",
     )
     published: str | None = Field(
