@@ -6,6 +6,7 @@ the end every job must have succeeded once, with the bytes of a training that no
 
 import argparse
 import json
+import os
 import random
 import signal
 import sys
@@ -13,7 +14,10 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
+
+import psutil
 
 from tests.slurm.local_slurm import missing, wait_until
 from tests.slurm.world import World, result
@@ -47,6 +51,7 @@ class Disturbances:
             (self.preempt, 5),
             (self.cancel, 4),
             (self.kill, 3),
+            (self.power_off, 3),
             (self.lose_node, 3),
             (self.kill_slurmd, 2),
             (self.restart_controller, 2),
@@ -72,6 +77,18 @@ class Disturbances:
 
     def kill(self) -> str | None:
         return self._of_one("scancel", "--signal=KILL", "--full")
+
+    def power_off(self) -> str | None:
+        """Every process of an allocation ends at the same moment, and keeps nothing."""
+        job = self._one()
+        if job is None:
+            return None
+        everyone = [one for one in psutil.process_iter() if _is_of(one, job)]
+        for number in (signal.SIGSTOP, signal.SIGKILL):
+            for one in everyone:
+                with suppress(psutil.NoSuchProcess):
+                    one.send_signal(number)
+        return job
 
     def limit_time(self) -> str | None:
         """A limit of a minute, of which most has passed: Slurm ends it at its next look."""
@@ -116,6 +133,15 @@ class Disturbances:
 
     def _slurm(self, *command: str) -> None:
         self._world.slurm.command(*command, check=False)
+
+
+def _is_of(process: psutil.Process, job: str) -> bool:
+    """Another Slurm of this machine may have a job of the same number."""
+    try:
+        found = process.environ()
+    except psutil.Error:
+        return False
+    return (found.get("SLURM_JOB_ID"), found.get("SLURM_CONF")) == (job, os.environ["SLURM_CONF"])
 
 
 def run(world: World, number: int, seed: int) -> int:
