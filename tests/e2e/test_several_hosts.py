@@ -113,7 +113,7 @@ def test_srun_starts_both_hosts(service: Client, variables: Mapping[str, str], t
         )
         job = service.submit(ON_TWO)
         assert service.wait(job.id, timeout=300).status == "succeeded"
-        step.send_signal(signal.SIGTERM)
+        step.send_signal(signal.SIGUSR1)  # A drain, which srun passes on; SIGTERM it takes for itself.
         step.wait(60)
         wait_until(lambda: _trainings(tmp_path) == [])
 
