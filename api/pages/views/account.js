@@ -25,7 +25,7 @@ export default function Account({ path: [tab = "tokens"], query }) {
       <h1>${who.user}</h1>
       <button type="button" onClick=${leave}>Sign out</button>
     </div>
-    <p class="facts">${who.role}${who.projects.length ? ` in ${who.projects.join(", ")}` : ", in no project"}${
+    <p class="facts message">${who.role}${who.projects.length ? ` in ${who.projects.join(", ")}` : ", in no project"}${
       who.scope === "admin" ? "" : ` · this session may only ${who.scope}`}</p>
     ${isAdmin() &&
     html`<nav class="tabs" aria-label="Parts of the account" ref=${tabs}>

@@ -50,7 +50,7 @@ function Row({ token, again }) {
       ? html`<span class="facts">revoked ${ago(token.revoked_at)}</span>`
       : isOver
         ? html`<span class="facts">expired</span>`
-        : html`<${Confirm} text="Revoke" question=${isThis ? "End this session, too?" : "Nothing accepts it any more. Revoke it?"} onYes=${revoke} isDangerous />`}
+        : html`<span><${Confirm} text="Revoke" question=${isThis ? "End this session, too?" : "Nothing accepts it any more. Revoke it?"} onYes=${revoke} isDangerous /></span>`}
       ${problem && html`<p class="error" role="alert">${problem.message}</p>`}
     </td>
   </tr>`;
@@ -77,7 +77,7 @@ function NewToken({ user, isOwn, onMade }) {
       <button class="main" disabled=${isBusy}>Make it</button>
     </div>
     ${problem && html`<p class="error" role="alert">${problem.message}</p>`}
-    ${made && html`<div role="status" class="stack">
+    ${made && html`<div role="status" class="stack secret">
       <p>The token ${made.id}. <strong>It is shown this once</strong>: copy it now, into <code>gaitway login</code>, <code>GAITWAY_TOKEN</code> or a password manager.</p>
       <${Copy} text=${made.secret} name="The token" />
     </div>`}
