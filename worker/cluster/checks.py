@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from core.jobs.slots import SlotKind
+from worker.cluster.launcher import SchedulerAway
 from worker.cluster.options import GpuPart, Part, SlurmOptions, seconds_of
 from worker.cluster.slurm import Script, ask, name_of, sentence
 
@@ -28,6 +29,8 @@ class NodeGroup:
 def groups() -> list[NodeGroup]:
     """The partitions that this user sees. Raises Misconfigured without sinfo, and SchedulerAway."""
     answer = ask(("sinfo", "--noheader", f"--format={_FORMAT}"))
+    if answer.returncode != 0:
+        raise SchedulerAway(sentence(answer.stderr))
     return [_group(line) for line in answer.stdout.splitlines() if line.count("|") == 6]
 
 
