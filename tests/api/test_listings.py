@@ -106,7 +106,7 @@ def test_a_listing_has_the_newest_attempts_and_files_in_brief(stack: Stack) -> N
     [listed] = stack.http.get("/jobs").json()["items"]
     whole = stack.http.get(f"/jobs/{attempt.id}").json()
     assert [one["details"] for one in listed["attempts"]] == [{}]
-    assert whole["attempts"][0]["details"] == {"long": "x" * 5000}
+    assert whole["attempts"][0]["details"]["long"] == "x" * 5000
     assert [file["step"] for file in listed["artifacts"]] == list(range(7, 12))
     assert len(whole["artifacts"]) == 5
     assert [bool(file["metadata"]) for file in listed["artifacts"]] == [True] * 4 + [False]
