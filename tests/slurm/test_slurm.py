@@ -184,7 +184,7 @@ def test_what_a_site_says_wrongly_is_refused_before_anything_is_started(world: W
     for said, sentence in (
         ("[cpu]\npartition = 'nix'", "/cpu/partition: there is no partition 'nix'"),
         ("[gpu]\npartition = 'low'\ngpus = [4]", "/gpu/gpus: 4 GPUs of one node are wanted"),
-        ("[cpu]\npartition = 'down'\ncpus = 2\nmem = '1G'", "/cpu: Slurm refuses a job for cpu"),
+        ("[cpu]\npartition = 'down'", "/cpu/partition: down is down"),
         (
             "[cpu]\ntime = '2:00:00'\ncpus = 2\nmem = '1G'",
             "/cpu/time: 2:00:00 is more than partition low allows",

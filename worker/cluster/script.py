@@ -94,6 +94,7 @@ set -m
   done
 ) &
 tunnel=$!
+disown "$tunnel"  # bash reports nothing when it is killed
 set +m
 for _ in $(seq 150); do
   @IS_OPEN@ && break
