@@ -9,6 +9,7 @@ GaitwayError
 └── JobFailed      the job itself fails; raised inside the training process
 """
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -278,14 +279,24 @@ class UserExists(Conflict):
 
 class SubjectDiffers(Conflict):
     code = "subject-differs"
-    title = "The name belongs to another account of the identity provider"
+    title = "The user is not linked to this account of the identity provider"
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, subject: str) -> None:
         super().__init__(
-            f"The user {name!r} here belongs to another account of the identity provider, which had the name "
-            "before. An admin gives this person another name, or disables the old user.",
+            f"There is a user {name!r} here already, who is not linked to this account of the identity "
+            "provider. If both are one person, an admin links them: "
+            f"gaitway users link {name} {shlex.quote(subject)}",
             user=name,
+            subject=subject,
         )
+
+
+class SubjectTaken(Conflict):
+    code = "subject-taken"
+    title = "Another user has this account of the identity provider"
+
+    def __init__(self, subject: str, owner: str) -> None:
+        super().__init__(f"{subject} is the account of the user {owner}.", user=owner, subject=subject)
 
 
 class ProjectExists(Conflict):

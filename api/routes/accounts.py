@@ -34,6 +34,7 @@ from core.errors import (
     ProjectNotFound,
     RecordsUnavailable,
     Rejected,
+    SubjectTaken,
     TokenNotFound,
     UserExists,
     UserNotFound,
@@ -93,10 +94,17 @@ class NewUser(Strict):
 
 
 class UserChange(Strict):
-    """What changes; the rest stays. active: false refuses all of the user's tokens."""
+    """What changes; the rest stays. active: false refuses all of the user's tokens.
+
+    subject: the account of the identity provider that signs in as this user, `ISSUER#ID`; a sign-in that is
+    refused because the name is taken says it.
+    """
 
     role: Role | None = None
     active: bool | None = None
+    subject: Annotated[str, Field(max_length=600, pattern=r"^[!-~]+#[ -~]+$")] | None = Field(
+        default=None, examples=["https://id.lab.edu/realms/lab#0b1c…"]
+    )
 
 
 class NewProject(Strict):
@@ -285,7 +293,7 @@ def add_user(body: JsonBody, request: Request, service: ServiceDep, principal: P
     "/users/{name}",
     dependencies=ACCOUNTS_ON,
     openapi_extra=body_of(_USER_CHANGE),
-    responses=refusals(*_REFUSED, UserNotFound, LastAdmin),
+    responses=refusals(*_REFUSED, UserNotFound, LastAdmin, SubjectTaken),
 )
 def change_user(
     name: UserName,
@@ -294,10 +302,16 @@ def change_user(
     service: ServiceDep,
     principal: PrincipalDep,
 ) -> UserView:
-    """Give a user another role, or disable or enable them. Their jobs stay."""
+    """Give a user another role, disable or enable them, or link an account of the identity provider.
+
+    Their jobs stay.
+    """
     change = parse(body, _USER_CHANGE)
-    actor = actor_of(principal, request)
-    user = service.store.change_user(name, actor, role=change.role, active=change.active)
+    issuer = service.settings.oidc_issuer
+    if change.subject is not None and issuer is not None and not change.subject.startswith(f"{issuer}#"):
+        sentence = f"Accounts of this service's identity provider are {issuer}#ID."
+        raise Rejected(sentence, [Problem("/subject", sentence)])
+    user = service.store.change_user(name, actor_of(principal, request), **change.model_dump())
     return UserView.model_validate(user)
 
 

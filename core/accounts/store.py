@@ -14,7 +14,7 @@ from core.documents import Stored
 
 
 class User(Stored):
-    """subject: of the identity provider, which the first sign-in there tells."""
+    """subject: of the identity provider, for one who came from there or whom an admin linked."""
 
     name: str
     role: Role
@@ -150,19 +150,26 @@ class AccountStore(Protocol):
         ...
 
     def change_user(
-        self, name: str, actor: Actor, *, role: Role | None = None, active: bool | None = None
+        self,
+        name: str,
+        actor: Actor,
+        *,
+        role: Role | None = None,
+        active: bool | None = None,
+        subject: str | None = None,
     ) -> User:
-        """Disabling a user ends their sessions.
+        """Disabling a user, or linking another subject, ends their sessions.
 
-        Raises UserNotFound; LastAdmin where no active admin would be left.
+        Raises UserNotFound; LastAdmin where no active admin would be left; SubjectTaken.
         """
         ...
 
     def admit(self, grant: Grant, actor: Actor) -> User:
-        """Who signs in at the identity provider: known by the subject, or by a name without one, or new.
+        """Who signs in at the identity provider: the user with this subject, or a new one.
 
         Projects that are missing are made. Nothing of a disabled user changes, and the last active admin
-        stays one. Raises SubjectDiffers where another one of the provider's users has the name.
+        stays one. Raises SubjectDiffers where a user has the name already: the provider's word alone does
+        not make somebody that user.
         """
         ...
 

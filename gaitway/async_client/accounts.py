@@ -58,10 +58,12 @@ class AsyncAccounts(AsyncConnection):
         return await self._items("/users", UserView)
 
     async def change_user(
-        self, name: str, *, role: str | None = None, active: bool | None = None
+        self, name: str, *, role: str | None = None, active: bool | None = None, subject: str | None = None
     ) -> UserView:
-        """Give a user another role, or disable or enable them. Raises NotFound, Conflict."""
-        answer = await self._request("PATCH", path_of("users", name), json={"role": role, "active": active})
+        """Give a user another role, disable or enable them, or link them to an account of the identity
+        provider. Raises NotFound, Conflict."""
+        changes = {"role": role, "active": active, "subject": subject}
+        answer = await self._request("PATCH", path_of("users", name), json=changes)
         return UserView.model_validate_json(answer.content)
 
     async def projects(self) -> Sequence[ProjectView]:

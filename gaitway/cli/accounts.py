@@ -158,6 +158,17 @@ def enable_user(context: typer.Context, name: UserName) -> None:
     print(f"{name} is enabled.")
 
 
+@users.command("link")
+def link_user(
+    context: typer.Context,
+    name: UserName,
+    subject: Annotated[str, typer.Argument(help="ISSUER#ID, as the refused sign-in says it.")],
+) -> None:
+    """Let an account of the identity provider sign in as a user who is here already."""
+    client_of(context).change_user(name, subject=subject)
+    print(f"{subject} signs in as {name} from now on.")
+
+
 @projects.command("add")
 def add_project(
     context: typer.Context,

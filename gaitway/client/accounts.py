@@ -58,9 +58,13 @@ class Accounts(Connection):
         """All users, for an admin."""
         return self._items("/users", UserView)
 
-    def change_user(self, name: str, *, role: str | None = None, active: bool | None = None) -> UserView:
-        """Give a user another role, or disable or enable them. Raises NotFound, Conflict."""
-        answer = self._request("PATCH", path_of("users", name), json={"role": role, "active": active})
+    def change_user(
+        self, name: str, *, role: str | None = None, active: bool | None = None, subject: str | None = None
+    ) -> UserView:
+        """Give a user another role, disable or enable them, or link them to an account of the identity
+        provider. Raises NotFound, Conflict."""
+        changes = {"role": role, "active": active, "subject": subject}
+        answer = self._request("PATCH", path_of("users", name), json=changes)
         return UserView.model_validate_json(answer.content)
 
     def projects(self) -> Sequence[ProjectView]:

@@ -42,7 +42,7 @@ class ProviderView(View):
 
 
 class UserView(View):
-    """A user. subject: that of the identity provider, once the user has signed in there."""
+    """A user. subject: that of the identity provider, if the user signs in there."""
 
     name: str = Field(examples=["ann"])
     role: Role

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from datetime import timedelta
 from typing import Any
 
 import httpx
@@ -17,7 +18,7 @@ from core.settings import ApiSettings, GroupGrant
 from tests.api.accounts import NOBODY, USERS, Lab, opened
 from tests.api.conftest import NOWHERE, Stack
 from tests.api.identity_provider import CLIENT, SECRET, Provider, provided, signed_by_hmac, unsigned
-from tests.api.problems import problem
+from tests.api.problems import pointers, problem
 from tests.api.test_sessions import PAGE
 
 KIM = {"sub": "1234", "preferred_username": "Kim", "email": "kim@lab.edu", "email_verified": True}
@@ -111,8 +112,9 @@ def test_a_new_user_gets_the_role_and_the_project_of_the_settings(lab: Lab, brow
     user = lab.stack.store.get_user("kim")
     assert user.subject == f"{lab.service.settings.oidc_issuer}#1234"
     entries = lab.stack.store.audit(user="kim").entries
-    assert [entry.action for entry in entries] == ["session.begun", "user.added"]
-    assert entries[0].address == "127.0.0.1"
+    actions = ["session.begun", "project.members", "user.added"]
+    assert [entry.action for entry in entries] == actions
+    assert {entry.address for entry in entries} == {"127.0.0.1"}
 
 
 def test_the_subject_stays_and_the_name_may_change(
@@ -124,16 +126,39 @@ def test_the_subject_stays_and_the_name_may_change(
     assert browser.get("/whoami").json()["user"] == "kim"
     provider.claims |= {"sub": "5678", "preferred_username": "kim"}
     browser.cookies.clear()
-    assert "another account of the identity provider" in refusal(sign_in(browser))
+    assert "not linked to this account" in refusal(sign_in(browser))
 
 
-def test_a_user_whom_an_admin_added_keeps_role_and_projects(
+@pytest.mark.parametrize("name", ["root", "vic"])
+def test_nobody_becomes_a_user_who_is_here_by_the_name_alone(
+    lab: Lab, browser: httpx.Client, provider: Provider, name: str
+) -> None:
+    provider.claims["preferred_username"] = name
+    subject = f"{provider.issuer}#1234"
+    assert refusal(sign_in(browser)).endswith(f"gaitway users link {name} '{subject}'")
+    assert browser.get("/session").json()["who"] is None
+    assert lab.stack.store.get_user(name).subject is None
+
+
+def test_a_user_whom_an_admin_links_keeps_role_and_projects(
     lab: Lab, browser: httpx.Client, provider: Provider
 ) -> None:
-    provider.claims["preferred_username"] = "vic"
+    root, subject = lab.of("root"), f"{provider.issuer}#1234"
+    document = problem(
+        root.patch("/users/vic", json={"subject": "https://evil.example#1"}), 422, "invalid-request"
+    )
+    assert pointers(document) == ["/subject"]
+    assert root.patch("/users/vic", json={"subject": subject}).json()["subject"] == subject
+    document = problem(root.patch("/users/ann", json={"subject": subject}), 409, "subject-taken")
+    assert document["user"] == "vic"
+    [entry] = lab.stack.store.audit(action="user.changed").entries
+    assert (entry.user, entry.object, entry.details) == ("root", "user vic", {"subject": subject})
     sign_in(browser)
     who = browser.get("/whoami").json()
     assert (who["user"], who["role"], who["projects"]) == ("vic", "viewer", ["a"])
+    session = browser.cookies["gaitway_session"].split("_")[1]
+    root.patch("/users/vic", json={"subject": f"{provider.issuer}#5678"})  # It was the wrong person.
+    assert lab.stack.store.find_session(session, timedelta(days=1)) is None
 
 
 def expired(header: dict[str, Any], claims: dict[str, Any]) -> None:
@@ -309,10 +334,15 @@ def test_groups_give_role_and_projects_at_each_sign_in(
     sign_in(browser)
     user = lab.stack.store.get_user("kim")
     assert (user.role, user.projects) == (Role.ADMIN, ("default", "own"))  # No group gave `own`.
+    left = lab.stack.store.audit(user="kim", object="project a").entries[0]
+    assert left.details == {"removed": ["kim"], "by": "provider"}
+    [made] = lab.stack.store.audit(user="kim", action="project.added").entries
+    assert made.object == "project gaits"
 
 
 @with_settings(oidc_groups=GROUPS)
 def test_groups_do_not_take_the_last_admin(lab: Lab, browser: httpx.Client, provider: Provider) -> None:
+    lab.stack.store.change_user("root", NOBODY, subject=f"{provider.issuer}#1234")
     provider.claims |= {"preferred_username": "root", "groups": ["legs"]}
     assert sign_in(browser).status_code == 303
     assert browser.get("/whoami").json()["role"] == "admin"
@@ -321,8 +351,7 @@ def test_groups_do_not_take_the_last_admin(lab: Lab, browser: httpx.Client, prov
 def test_a_disabled_user_stays_out_and_as_they_were(
     lab: Lab, browser: httpx.Client, provider: Provider
 ) -> None:
-    lab.stack.store.change_user("ann", NOBODY, active=False)
-    provider.claims["preferred_username"] = "ann"
+    lab.stack.store.change_user("ann", NOBODY, active=False, subject=f"{provider.issuer}#1234")
     assert "ann is disabled" in refusal(sign_in(browser))
 
 

@@ -8,6 +8,7 @@ import psycopg
 import pytest
 
 from core.accounts.principal import Ownership, Role, TokenScope
+from core.accounts.provider import Grant
 from core.accounts.store import Actor, AuditEntry, PageSession, Token, User
 from core.accounts.tokens import SESSION, Secret, new_secret, parse
 from core.adapters.postgres import listing
@@ -128,6 +129,22 @@ def test_two_admins_who_disable_each_other_leave_one(job_store: PostgresJobStore
     [left] = [one.name for one in job_store.users() if one.active]
     with pytest.raises(LastAdmin):
         job_store.change_user(left, ADMIN, role=Role.VIEWER)
+
+
+def test_sign_ins_that_take_the_role_from_all_admins_leave_one(job_store: PostgresJobStore) -> None:
+    names, barrier = [f"admin{number}" for number in range(4)], threading.Barrier(4)
+    for name in names:
+        job_store.add_user(user(name, Role.ADMIN), ADMIN)
+        job_store.change_user(name, ADMIN, subject=f"https://id#{name}")
+
+    def admit(name: str) -> Role:
+        grant = Grant(name, f"https://id#{name}", Role.VIEWER, frozenset({"default"}), is_kept=True)
+        barrier.wait()
+        return job_store.admit(grant, Actor(name)).role
+
+    with ThreadPoolExecutor(4) as threads:
+        roles = sorted(threads.map(admit, names))
+    assert roles == [Role.ADMIN, Role.VIEWER, Role.VIEWER, Role.VIEWER]
 
 
 def test_the_audit_log_has_who_what_and_where_and_cannot_be_changed(
@@ -307,6 +324,8 @@ def test_a_session_is_found_until_it_expires_and_while_it_is_used(job_store: Pos
     assert job_store.find_session(kept.id, timedelta(0)) is None  # Not used for that long.
     job_store.revoke_token(token.id, ADMIN)
     assert job_store.find_session(of_token.id, day) is None
+    late = begin(day, token_id=token.id)  # Its sign-in had checked the token just before.
+    assert job_store.find_session(late.id, day) is None
     job_store.end_session(kept.id, ADMIN)
     job_store.end_session(kept.id, ADMIN)
     assert job_store.find_session(kept.id, day) is None

@@ -70,6 +70,8 @@ def test_a_lab_in_ten_minutes(lab: Lab) -> None:
     assert "You are eve" in succeeded(gaitway(lab, "whoami", token=eve))
     assert "eve" in succeeded(gaitway(lab, "projects", "members", "gaits", "--remove", "dan"))
     assert "submitter" in succeeded(gaitway(lab, "users", "role", "eve", "submitter"))
+    subject = "https://id.lab.edu#1234"
+    assert f"{subject} signs in as eve" in succeeded(gaitway(lab, "users", "link", "eve", subject))
     lab.service.audit_log.flush()
     log = json.loads(succeeded(gaitway(lab, "audit", "--json", "--user", "dan")))
     assert [(one["action"], one["object"]) for one in log] == [("job.submitted", f"job {job}")]

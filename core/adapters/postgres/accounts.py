@@ -1,6 +1,7 @@
 """Users, projects and tokens; the audit log."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import timedelta
 from typing import Any
 
@@ -31,6 +32,7 @@ from core.errors import (
     ProjectNotFound,
     Rejected,
     SubjectDiffers,
+    SubjectTaken,
     TokenNotFound,
     UserExists,
     UserNotFound,
@@ -70,8 +72,9 @@ _KNOWN_SESSION = (
     )
     .join(users, users.c.name == sessions.c.user_name)
     .outerjoin(tokens, tokens.c.id == sessions.c.token)
-    .where(sessions.c.expires_at > NOW)
+    .where(sessions.c.expires_at > NOW, tokens.c.revoked_at.is_(None))
 )
+_ADMINS = select(users.c.name).where(users.c.role == Role.ADMIN.value, users.c.active)
 _AUDIT = select(*(column for column in audit.c if column.name != "user_name")).add_columns(
     audit.c.user_name.label("user")
 )
@@ -161,21 +164,29 @@ class AccountQueries(Session):
             return [_user(row) for row in connection.execute(_USERS.order_by(users.c.name))]
 
     def change_user(
-        self, name: str, actor: Actor, *, role: Role | None = None, active: bool | None = None
+        self,
+        name: str,
+        actor: Actor,
+        *,
+        role: Role | None = None,
+        active: bool | None = None,
+        subject: str | None = None,
     ) -> User:
         changes: dict[str, Any] = {} if role is None else {"role": role.value}
         changes |= {} if active is None else {"active": active}
-        admins = select(users.c.name).where(users.c.role == Role.ADMIN.value, users.c.active)
+        changes |= {} if subject is None else {"subject": subject}
         with self._transaction() as connection:
             before = _find_user(connection, name)
             if changes:
                 # Two that take the role from each other wait here, so that one of them is left.
-                others = {row.name for row in connection.execute(admins.with_for_update())} - {name}
+                others = {row.name for row in connection.execute(_ADMINS.with_for_update())} - {name}
                 keeps = (role or before.role) is Role.ADMIN and active is not False
                 if before.role is Role.ADMIN and before.active and not keeps and not others:
                     raise LastAdmin(name)
+                if subject is not None:
+                    _check_subject(connection, name, subject)
                 connection.execute(update(users).where(users.c.name == name).values(**changes))
-                if active is False:
+                if active is False or subject not in (None, before.subject):
                     connection.execute(delete(sessions).where(sessions.c.user_name == name))
                 _note(connection, actor, "user.changed", f"user {name}", **changes)
             return _find_user(connection, name)
@@ -184,25 +195,23 @@ class AccountQueries(Session):
         new = insert(users).values(
             name=grant.name, role=grant.role.value, subject=grant.subject, created_at=NOW
         )
-        known = select(users.c.name, users.c.subject).with_for_update()
+        known = select(users.c.name).where(users.c.subject == grant.subject).with_for_update()
         with self._transaction() as connection:
-            row = connection.execute(known.where(users.c.subject == grant.subject)).first()
+            # The admins first, as in `change_user`: so two that wait for each other are no deadlock.
+            connection.execute(_ADMINS.order_by(users.c.name).with_for_update())
+            row = connection.execute(known).first()
             is_new = row is None and bool(
                 connection.execute(new.on_conflict_do_nothing().returning(users.c.name)).first()
             )
-            name = grant.name if row is None else row.name
             if row is None and not is_new:
-                row = connection.execute(known.where(users.c.name == name)).one()
-                if row.subject not in (None, grant.subject):
-                    raise SubjectDiffers(name)
-                connection.execute(update(users).where(users.c.name == name).values(subject=grant.subject))
-            user = _find_user(connection, name)
-            if user.active:
-                _adjust(connection, user, grant, is_new=is_new)
-            user = _find_user(connection, name)
+                raise SubjectDiffers(grant.name, grant.subject)
+            user = _find_user(connection, grant.name if row is None else row.name)
+            actor = replace(actor, user=user.name)
             if is_new:
-                _note(connection, actor, "user.added", f"user {name}", role=user.role, projects=user.projects)
-            return user
+                _note(connection, actor, "user.added", f"user {user.name}", role=grant.role, by="provider")
+            if user.active:
+                _adjust(connection, user, grant, actor, is_new=is_new)
+            return _find_user(connection, user.name)
 
     def add_project(self, name: str, actor: Actor) -> Project:
         new = insert(projects).values(name=name, created_at=NOW)
@@ -299,24 +308,48 @@ class AccountQueries(Session):
         return AuditPage(found[:limit], str(found[limit - 1].id) if len(found) > limit else None)
 
 
-def _adjust(connection: Connection, user: User, grant: Grant, *, is_new: bool) -> None:
-    """Give the user the role and the projects that the provider's groups say, or that a new one gets."""
+def _adjust(connection: Connection, user: User, grant: Grant, actor: Actor, *, is_new: bool) -> None:
+    """Give the user the role and the projects that the provider's groups say, or that a new one gets.
+
+    The caller has locked the admins.
+    """
     if not (is_new or grant.is_kept):
         return
-    others = select(users.c.name).where(
-        users.c.role == Role.ADMIN.value, users.c.active, users.c.name != user.name
-    )
-    is_last_admin = user.role is Role.ADMIN and not connection.execute(others.limit(1)).first()
+    others = _ADMINS.where(users.c.name != user.name).limit(1)
+    is_last_admin = user.role is Role.ADMIN and not connection.execute(others).first()
     if grant.role is not user.role and not is_last_admin:
         connection.execute(update(users).where(users.c.name == user.name).values(role=grant.role.value))
-        actor = Actor(user.name)
-        _note(connection, actor, "user.changed", f"user {user.name}", role=grant.role, by="groups")
+        _note(connection, actor, "user.changed", f"user {user.name}", role=grant.role, by="provider")
     for project in sorted(grant.projects.difference(user.projects)):
         made = insert(projects).values(name=project, created_at=NOW).on_conflict_do_nothing()
-        connection.execute(made)
-        connection.execute(insert(members).values(project=project, user_name=user.name))
-    left = grant.managed.difference(grant.projects).intersection(user.projects)
-    connection.execute(delete(members).where(members.c.user_name == user.name, members.c.project.in_(left)))
+        if connection.execute(made.returning(projects.c.name)).first() is not None:
+            _note(connection, actor, "project.added", f"project {project}", by="provider")
+        entered = insert(members).values(project=project, user_name=user.name).on_conflict_do_nothing()
+        connection.execute(entered)
+        _note_members(connection, actor, project, added=[user.name])
+    for project in sorted(grant.managed.difference(grant.projects).intersection(user.projects)):
+        its = (members.c.user_name == user.name) & (members.c.project == project)
+        connection.execute(delete(members).where(its))
+        _note_members(connection, actor, project, removed=[user.name])
+
+
+def _note_members(
+    connection: Connection,
+    actor: Actor,
+    project: str,
+    *,
+    added: Sequence[str] = (),
+    removed: Sequence[str] = (),
+) -> None:
+    details = {"added": added, "removed": removed, "by": "provider"}
+    _note(connection, actor, "project.members", f"project {project}", **details)
+
+
+def _check_subject(connection: Connection, name: str, subject: str) -> None:
+    """Raises SubjectTaken where another user has it."""
+    row = connection.execute(select(users.c.name).where(users.c.subject == subject)).first()
+    if row is not None and row.name != name:
+        raise SubjectTaken(subject, row.name)
 
 
 def _belongs_to(user: str) -> Any:

@@ -405,7 +405,9 @@ _FORMS: dict[str, Forms] = {
     "GET /workers/settings": _of_accounts("GET", "/workers/settings"),
     "GET /users": _of_accounts("GET", "/users"),
     "POST /users": _of_accounts("POST", "/users", name="u" * 63, projects=_MEMBERS[:100]),
-    "PATCH /users/{name}": _of_accounts("PATCH", "/users/u", role="viewer", active=False),
+    "PATCH /users/{name}": _of_accounts(
+        "PATCH", "/users/u", role="viewer", active=False, subject="i#" + "s" * 598
+    ),
     "GET /tokens": _of_accounts("GET", "/tokens"),
     "POST /tokens": _of_accounts("POST", "/tokens", scope="read", name="n" * 100),
     "DELETE /tokens/{token_id}": _of_accounts("DELETE", "/tokens/0"),
