@@ -11,11 +11,11 @@ import secrets
 import time
 from collections.abc import Mapping
 from threading import Lock
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 from urllib.parse import quote, urlencode, urlsplit
 
 import structlog
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from core.accounts.provider import SignInRefused
 from core.documents import Strict
@@ -49,17 +49,21 @@ class ProviderAway(Unavailable):
     title = "The identity provider does not answer"
 
 
+# Where the page was: its own fragment, so that nobody can have the sign-in end elsewhere.
+PagePlace = Annotated[str, Field(max_length=2000, pattern=r"^(#/[ -~]*)?$")]
+
+
 class Attempt(Strict):
     """A sign-in that has begun. The browser that began it keeps this in a cookie, and no other has it.
 
-    back: where the page was.
+    back: where the page was. Nothing signs the cookie, so that all of it is checked again.
     """
 
     state: str
     nonce: str
     verifier: str
     redirect_uri: str
-    back: str
+    back: PagePlace
 
     @property
     def text(self) -> str:

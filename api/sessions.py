@@ -7,6 +7,7 @@ origins.
 """
 
 from datetime import timedelta
+from ipaddress import ip_address
 
 from fastapi import Request, Response
 
@@ -15,16 +16,21 @@ from core.accounts.tokens import SESSION, Secret, parse
 
 HEADER = "X-Gaitway-Page"
 _COOKIE = "gaitway_session"
-# Browsers take a cookie of this prefix only over TLS, and from no other host of the domain.
-_COOKIE_OVER_TLS = f"__Host-{_COOKIE}"
 _ATTEMPT = "gaitway_sign_in"
+# Browsers take a cookie of this prefix only over TLS, for all paths, and from no other host of the domain.
+_OVER_TLS = "__Host-"
 _HARMLESS = ("GET", "HEAD")
 
 
 def session_of(request: Request) -> Secret | None:
     """The session that the request's cookie holds; it is not checked yet."""
-    text = request.cookies.get(_COOKIE_OVER_TLS) or request.cookies.get(_COOKIE)
-    return None if text is None else parse(text, SESSION)
+    return parse(_cookie(request, _COOKIE), SESSION)
+
+
+def _cookie(request: Request, name: str) -> str:
+    """Its value, or nothing. Over TLS the plain name does not count: anybody on the network could set it."""
+    plain = "" if is_over_tls(request) else request.cookies.get(name, "")
+    return request.cookies.get(f"{_OVER_TLS}{name}", plain)
 
 
 def check_sender(request: Request) -> None:
@@ -45,13 +51,24 @@ def check_sender(request: Request) -> None:
 
 def is_over_tls(request: Request) -> bool:
     """Whether the browser speaks TLS, perhaps with a proxy that passes requests on without."""
-    return "https" in (request.url.scheme, request.headers.get("origin", "").partition(":")[0])
+    headers = request.headers
+    if request.url.scheme == "https" or "origin" in headers:
+        return "https" in (request.url.scheme, headers.get("origin", "").partition(":")[0])
+    # A link's request has no origin. Browsers send Sec-Fetch-Site over TLS, and without it to this machine.
+    return "sec-fetch-site" in headers and not _is_this_machine(request.url.hostname or "")
+
+
+def _is_this_machine(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost" or host.endswith(".localhost")
 
 
 def keep(response: Response, session: Secret, lifetime: timedelta, *, over_tls: bool) -> None:
     """Have the browser keep the session, out of reach of scripts."""
     response.set_cookie(
-        _COOKIE_OVER_TLS if over_tls else _COOKIE,
+        f"{_OVER_TLS if over_tls else ''}{_COOKIE}",
         session.text,
         max_age=int(lifetime.total_seconds()),
         secure=over_tls,
@@ -60,24 +77,27 @@ def keep(response: Response, session: Secret, lifetime: timedelta, *, over_tls: 
     )
 
 
-def keep_attempt(response: Response, text: str, path: str, *, over_tls: bool) -> None:
+def keep_attempt(response: Response, text: str, *, over_tls: bool) -> None:
     """Have the browser keep a sign-in that has begun at the identity provider, for ten minutes."""
-    response.set_cookie(
-        _ATTEMPT, text, max_age=600, path=path, secure=over_tls, httponly=True, samesite="lax"
-    )
+    name = f"{_OVER_TLS if over_tls else ''}{_ATTEMPT}"
+    response.set_cookie(name, text, max_age=600, secure=over_tls, httponly=True, samesite="lax")
 
 
 def attempt_of(request: Request) -> str:
     """What `keep_attempt` had the browser keep, or nothing."""
-    return request.cookies.get(_ATTEMPT, "")
+    return _cookie(request, _ATTEMPT)
 
 
-def forget_attempt(response: Response, path: str) -> None:
+def forget_attempt(response: Response) -> None:
     """Each attempt is used once."""
-    response.delete_cookie(_ATTEMPT, path=path, httponly=True, samesite="lax")
+    _delete(response, _ATTEMPT)
 
 
 def forget(response: Response) -> None:
     """Have the browser drop the session."""
-    response.delete_cookie(_COOKIE, httponly=True, samesite="lax")
-    response.delete_cookie(_COOKIE_OVER_TLS, httponly=True, secure=True, samesite="lax")
+    _delete(response, _COOKIE)
+
+
+def _delete(response: Response, name: str) -> None:
+    response.delete_cookie(name, httponly=True, samesite="lax")
+    response.delete_cookie(f"{_OVER_TLS}{name}", httponly=True, secure=True, samesite="lax")

@@ -1,7 +1,5 @@
 """Signing in on the page, by a token that is typed once or at the identity provider."""
 
-from typing import Annotated
-
 import structlog
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import RedirectResponse
@@ -11,7 +9,7 @@ from api import sessions
 from api.access import actor_of
 from api.authentication import TooManyRequests, Unauthenticated
 from api.dependencies import Service, ServiceDep
-from api.oidc import Attempt, IdentityProvider, ProviderAway
+from api.oidc import Attempt, IdentityProvider, PagePlace, ProviderAway
 from api.problems import CrossSiteRequest, EdgeError, MalformedBody, UnsupportedMediaType, refusals
 from api.routes.accounts import ACCOUNTS_ON, AccountsOff, body_of, who
 from api.routes.page import page_with_refusal
@@ -19,7 +17,7 @@ from api.submissions import JsonBody, parse
 from core.accounts.principal import ANYONE, Principal, TokenScope
 from core.accounts.provider import ProviderRules, SignInRefused
 from core.accounts.store import Actor, PageSession
-from core.accounts.tokens import SESSION, new_secret
+from core.accounts.tokens import SESSION, Secret, new_secret
 from core.accounts.tokens import parse as parse_token
 from core.documents import Strict
 from core.errors import Conflict, Problem, RecordsUnavailable, Rejected, Unavailable
@@ -42,7 +40,7 @@ _SIGN_IN = TypeAdapter(SignIn)
 class Begin(Strict):
     """Where the page was, which is shown again after the sign-in."""
 
-    back: Annotated[str, Field(max_length=2000, pattern=r"^(#/[ -~]*)?$")] = ""
+    back: PagePlace = ""
 
 
 _BEGIN = TypeAdapter(Begin)
@@ -112,7 +110,10 @@ def _holder(text: str, service: Service) -> Principal:
 def begin(
     principal: Principal, request: Request, response: Response, service: Service, *, over_tls: bool
 ) -> None:
-    """Store a session of this principal, and give it to the browser. Raises RecordsUnavailable."""
+    """Store a session of this principal, and give it to the browser, in place of an earlier one.
+
+    Raises RecordsUnavailable.
+    """
     secret, now = new_secret(SESSION), service.store.now()
     lifetime = service.settings.session_lifetime
     if principal.expires_at is not None:
@@ -126,6 +127,8 @@ def begin(
         expires_at=now + lifetime,
     )
     service.store.add_session(session, secret, actor_of(principal, request))
+    if (earlier := sessions.session_of(request)) is not None:
+        _end(earlier, request, service)
     sessions.keep(response, secret, lifetime, over_tls=over_tls)
     response.headers["Cache-Control"] = "no-store"
 
@@ -139,10 +142,16 @@ def begin(
 def sign_out(request: Request, response: Response, service: ServiceDep) -> None:
     """End the session that the request's cookie holds, if there is one."""
     secret = sessions.session_of(request)
-    if secret is None or service.authenticator is None:
+    if secret is None:
         return
     sessions.check_sender(request)
     sessions.forget(response)
+    _end(secret, request, service)
+
+
+def _end(secret: Secret, request: Request, service: Service) -> None:
+    """End this session, unless it has ended or is none."""
+    assert service.authenticator is not None  # noqa: S101
     try:
         principal = service.authenticator.of_session(secret)
     except Unauthenticated:
@@ -182,7 +191,7 @@ def begin_at_provider(
     # The browser's own idea of where we are: a proxy may ask for us elsewhere.
     origin = request.headers.get("origin") or str(request.base_url).rstrip("/")
     attempt, location = provider.begin(f"{origin}{_CALLBACK}", back)
-    sessions.keep_attempt(response, attempt.text, _CALLBACK, over_tls=_is_over_tls(attempt))
+    sessions.keep_attempt(response, attempt.text, over_tls=_is_over_tls(attempt))
     response.headers["Cache-Control"] = "no-store"
     return ProviderView(location=location)
 
@@ -203,7 +212,7 @@ def come_back(request: Request, service: ServiceDep) -> Response:
         log.warning("sign_in_refused", code=error.code, detail=error.detail)
         status = 503 if isinstance(error, Unavailable) else 403
         answer = page_with_refusal(error.detail, status)
-    sessions.forget_attempt(answer, _CALLBACK)
+    sessions.forget_attempt(answer)
     return answer
 
 

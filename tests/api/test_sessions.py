@@ -67,6 +67,29 @@ def test_the_cookie_is_out_of_reach_and_only_its_hash_is_stored(lab: Lab, browse
     assert "Secure" in over_tls.headers["Set-Cookie"]
 
 
+def test_over_tls_the_plain_name_does_not_count(lab: Lab, browser: httpx.Client) -> None:
+    sign_in(browser, lab.token("ann").text)
+
+    def who(**headers: str) -> object:
+        return browser.get("/session", headers=headers).json()["who"]
+
+    assert who() is not None
+    assert who(Origin=f"https://127.0.0.1:{lab.stack.port}") is None
+    # Browsers send Sec-Fetch-Site, as `browser` does, to another machine only over TLS.
+    assert who(Host="10.0.0.5") is None
+    del browser.headers["Sec-Fetch-Site"]
+    assert who(Host="10.0.0.5") is not None
+
+
+def test_a_sign_in_ends_the_browsers_earlier_session(lab: Lab, browser: httpx.Client) -> None:
+    sign_in(browser, lab.token("ann").text)
+    earlier = httpx.Cookies(browser.cookies)
+    sign_in(browser, lab.token("bob").text)
+    with httpx.Client(base_url=browser.base_url, cookies=earlier, verify=False) as thief:  # noqa: S501
+        assert problem(thief.get("/jobs"), 401, "unauthenticated")["reason"] == "session-ended"
+    assert browser.get("/session").json()["who"]["user"] == "bob"
+
+
 def test_a_session_does_no_more_than_its_token(lab: Lab, browser: httpx.Client) -> None:
     sign_in(browser, lab.token("ann", TokenScope.READ).text)
     document = problem(browser.post("/jobs", json=JOB), 403, "forbidden")
