@@ -289,6 +289,11 @@ class ApiSettings(StoreSettings):
         description="Domains of the addresses that may sign in, separated by commas; `*` lets in everybody "
         "whom the provider knows. Needed, unless GAITWAY_OIDC_GROUPS says who may.",
     )
+    oidc_emails_are_verified: bool = Field(
+        False,
+        description="Whether the provider checks all addresses itself and leaves `email_verified` out. "
+        "Without this, an address of which the provider does not say so lets nobody in.",
+    )
     oidc_groups: Annotated[dict[str, GroupGrant], NoDecode, BeforeValidator(_json)] = Field(
         {},
         description="Groups that may sign in, with the role and the projects that they give, as JSON: "

@@ -39,13 +39,15 @@ class Grant:
 class ProviderRules:
     """Whom the provider's users become here.
 
-    domains: of their addresses; EVERYBODY lets all in. groups: of which they need one, unless there are none
-    here. role, projects: of a new user, beside those of groups.
+    domains: of their addresses; EVERYBODY lets all in. trusts_emails: also those of which the provider does
+    not say that it has checked them. groups: of which they need one, unless there are none here. role,
+    projects: of a new user, beside those of groups.
     """
 
     user_claim: str
     groups_claim: str
     domains: frozenset[str]
+    trusts_emails: bool
     groups: Mapping[str, GroupGrant]
     role: Role
     projects: frozenset[str]
@@ -57,6 +59,7 @@ class ProviderRules:
             settings.oidc_user_claim,
             settings.oidc_groups_claim,
             domains=_listed(settings.oidc_domains.lower()),
+            trusts_emails=settings.oidc_emails_are_verified,
             groups={name.removeprefix("/"): grant for name, grant in settings.oidc_groups.items()},
             role=Role(settings.oidc_role),
             projects=_listed(settings.oidc_projects),
@@ -90,12 +93,16 @@ class ProviderRules:
         address = claims.get("email")
         # Google says the domain of a company's accounts apart; a private account may have such an address.
         domain = claims.get("hd") or (address.rpartition("@")[2] if isinstance(address, str) else None)
-        if claims.get("email_verified") in (False, "false") or not isinstance(domain, str):
+        if not self._is_verified(claims) or not isinstance(domain, str):
             raise SignInRefused(
-                "The provider does not say a checked address, whose domain decides who may sign in."
+                "The provider does not say a checked address, whose domain decides who may sign in: see "
+                "GAITWAY_OIDC_EMAILS_ARE_VERIFIED."
             )
         if domain.lower() not in self.domains:
             raise SignInRefused(f"Accounts of {domain[:100]} may not sign in here.")
+
+    def _is_verified(self, claims: Mapping[str, Any]) -> bool:
+        return claims.get("email_verified", self.trusts_emails) in (True, "true")
 
     def _name(self, claims: Mapping[str, Any]) -> str:
         said = claims.get(self.user_claim)
@@ -104,8 +111,11 @@ class ProviderRules:
                 f"The provider does not say the claim {self.user_claim!r}, which names the user: see "
                 "GAITWAY_OIDC_USER_CLAIM and GAITWAY_OIDC_SCOPES."
             )
-        if self.user_claim == "email" and claims.get("email_verified") in (False, "false"):
-            raise SignInRefused(f"The provider has not checked the address {said[:100]}.")
+        if self.user_claim == "email" and not self._is_verified(claims):
+            raise SignInRefused(
+                f"The provider does not say that it has checked the address {said[:100]}: see "
+                "GAITWAY_OIDC_EMAILS_ARE_VERIFIED."
+            )
         name = said.lower()
         if re.fullmatch(NAME, name) is None:
             raise SignInRefused(

@@ -249,6 +249,20 @@ def test_another_browser_or_a_second_time_is_refused(
     assert "has not begun this sign-in" in refusal(browser.get(answer))
 
 
+@pytest.mark.parametrize("back", ["/evil.example", "//evil.example", "https://evil.example", "#/\n"])
+def test_a_forged_cookie_sends_nobody_elsewhere(back: str) -> None:
+    attempt = oidc.Attempt(state="s", nonce="n", verifier="v", redirect_uri="https://lab/cb", back="#/jobs")
+    assert oidc.Attempt.read(attempt.text) == attempt
+    assert oidc.Attempt.read(attempt.model_copy(update={"back": back}).text) is None
+
+
+def test_over_tls_only_this_host_sets_the_attempts_cookie(lab: Lab, browser: httpx.Client) -> None:
+    headers = {**PAGE, "Origin": f"https://127.0.0.1:{lab.stack.port}"}
+    cookie = browser.post("/session/oidc", json={}, headers=headers).headers["Set-Cookie"]
+    assert cookie.startswith("__Host-gaitway_sign_in=")
+    assert {"HttpOnly", "Secure", "Path=/"} <= set(cookie.split("; "))
+
+
 def test_a_code_of_another_sign_in_is_refused(lab: Lab, browser: httpx.Client) -> None:
     first, second = returned(begin(browser)), returned(begin(browser))
     code = httpx.URL(first).params["code"]
@@ -296,6 +310,7 @@ def test_another_sites_page_begins_no_sign_in(lab: Lab, browser: httpx.Client) -
         ({"email": "kim@evil.example"}, "evil.example may not sign in"),
         ({"email": "kim@notlab.edu"}, "notlab.edu may not sign in"),
         ({"email_verified": False}, "does not say a checked address"),
+        ({"email_verified": None}, "does not say a checked address"),
         ({"email": None}, "does not say a checked address"),
         ({"hd": "other.org"}, "other.org may not sign in"),
         ({"preferred_username": None}, "GAITWAY_OIDC_USER_CLAIM"),
@@ -308,6 +323,25 @@ def test_who_may_not_sign_in_is_told_why(
     provider.claims |= claims
     assert sentence in refusal(sign_in(browser))
     assert nothing_changed(lab)
+
+
+@with_settings(oidc_user_claim="email", oidc_domains="*")
+def test_an_address_that_names_the_user_is_checked(
+    lab: Lab, browser: httpx.Client, provider: Provider
+) -> None:
+    del provider.claims["email_verified"]
+    assert "GAITWAY_OIDC_EMAILS_ARE_VERIFIED" in refusal(sign_in(browser))
+    assert nothing_changed(lab)
+
+
+@with_settings(oidc_emails_are_verified=True)
+def test_a_provider_may_be_trusted_to_check_all_addresses(
+    lab: Lab, browser: httpx.Client, provider: Provider
+) -> None:
+    provider.claims["email_verified"] = False  # It says the contrary.
+    assert "does not say a checked address" in refusal(sign_in(browser))
+    del provider.claims["email_verified"]
+    assert sign_in(browser).status_code == 303
 
 
 GROUPS = {
