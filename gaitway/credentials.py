@@ -5,6 +5,7 @@ The file has a token for each address, and nobody else may read it.
 
 import json
 import os
+import secrets
 import sys
 from pathlib import Path
 from typing import Any, cast
@@ -66,8 +67,9 @@ def _write(tokens: dict[str, str]) -> Path:
     """Replace the file as a whole."""
     path = file()
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    partial = path.with_suffix(f".{os.getpid()}")
-    with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as opened:
+    partial = path.with_suffix(f".{secrets.token_hex(4)}")
+    # With O_EXCL, a link that somebody else has put there is not followed.
+    with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as opened:
         json.dump(tokens, opened)
     partial.replace(path)
     return path

@@ -33,6 +33,18 @@ def test_it_is_where_other_programs_keep_theirs_and_private() -> None:
     assert [one.name for one in path.parent.iterdir()] == [path.name]
 
 
+def test_a_link_in_the_place_of_the_new_file_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, other = credentials.store(URL, "one"), tmp_path / "other"
+    other.write_text("whole")
+    monkeypatch.setattr(credentials.secrets, "token_hex", lambda _: "guessed")
+    path.with_suffix(".guessed").symlink_to(other)
+    with pytest.raises(FileExistsError):
+        credentials.store(URL, "two")
+    assert (other.read_text(), credentials.token_for(URL)) == ("whole", "one")
+
+
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o666])
 def test_a_file_that_others_can_read_is_refused_with_the_remedy(mode: int) -> None:
     path = credentials.store(URL, "one")
