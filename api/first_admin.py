@@ -3,9 +3,10 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
-from core.accounts.first_admin import first_admin, leave, name_here
+from core.accounts.first_admin import first_admin, name_here, new_file
 from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.settings import StoreSettings
@@ -21,16 +22,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--file", type=Path, help="where the token goes; by default to stdout")
     parser.add_argument("--anyway", action="store_true", help="although there is an admin")
     chosen = parser.parse_args(arguments)
+    store = job_store(read(StoreSettings), pool_size=0)
     try:
-        secret = first_admin(job_store(read(StoreSettings), pool_size=0), chosen.name, anyway=chosen.anyway)
-        if secret is None:
-            raise ValueError(
-                "There is an admin already, who makes others by `gaitway users add`; --anyway makes one more."
-            )
-        if chosen.file is None:
-            sys.stdout.write(f"{secret.text}\n")
-        else:
-            leave(secret, chosen.file)
+        # Opened first: nobody could read the token of an admin whose file cannot be made.
+        with nullcontext(sys.stdout) if chosen.file is None else new_file(chosen.file) as file:
+            secret = first_admin(store, chosen.name, anyway=chosen.anyway)
+            if secret is None:
+                raise ValueError(
+                    "There is an admin already, who makes others by `gaitway users add`; --anyway makes one "
+                    "more."
+                )
+            file.write(f"{secret.text}\n")
     except (OSError, ValueError, Unavailable) as error:
         sys.stderr.write(f"{error}\n")
         return 1

@@ -2,8 +2,11 @@
 
 import os
 import re
+from collections.abc import Generator
+from contextlib import contextmanager
 from getpass import getuser
 from pathlib import Path
+from typing import TextIO
 
 from core.accounts.principal import NAME, Role, TokenScope
 from core.accounts.store import AccountStore, Actor, Token, User
@@ -41,7 +44,15 @@ def name_here() -> str:
     return name if re.fullmatch(NAME, name) else "admin"
 
 
-def leave(secret: Secret, path: Path) -> None:
-    """Write the token to a new file that its owner alone can read. Raises OSError, also where it exists."""
+@contextmanager
+def new_file(path: Path) -> Generator[TextIO]:
+    """A new file that its owner alone can read; where nothing is written to it, it is removed again.
+
+    Raises OSError, also where it exists.
+    """
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-        file.write(f"{secret.text}\n")
+        try:
+            yield file
+        finally:
+            if file.tell() == 0:
+                path.unlink()

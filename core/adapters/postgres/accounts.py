@@ -176,10 +176,11 @@ class AccountQueries(Session):
         changes |= {} if active is None else {"active": active}
         changes |= {} if subject is None else {"subject": subject}
         with self._transaction() as connection:
-            before = _find_user(connection, name)
             if changes:
                 # Two that take the role from each other wait here, so that one of them is left.
-                others = {row.name for row in connection.execute(_ADMINS.with_for_update())} - {name}
+                locked = connection.execute(_ADMINS.order_by(users.c.name).with_for_update())
+                others = {row.name for row in locked} - {name}
+                before = _find_user(connection, name)
                 keeps = (role or before.role) is Role.ADMIN and active is not False
                 if before.role is Role.ADMIN and before.active and not keeps and not others:
                     raise LastAdmin(name)

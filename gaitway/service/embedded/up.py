@@ -77,7 +77,7 @@ def run_stack(
 
 def _make_first_admin(stack: Stack) -> None:
     """An admin named as this system's user, unless there is one; the token is left in the data folder."""
-    from core.accounts.first_admin import first_admin, leave, name_here
+    from core.accounts.first_admin import first_admin, name_here, new_file
     from core.adapters.postgres.engine import connect_postgres
     from core.adapters.postgres.store import PostgresJobStore
 
@@ -85,7 +85,8 @@ def _make_first_admin(stack: Stack) -> None:
     file = stack.data_dir / FIRST_ADMIN
     if (secret := first_admin(store, name := name_here())) is not None:
         file.unlink(missing_ok=True)
-        leave(secret, file)
+        with new_file(file) as opened:
+            opened.write(f"{secret.text}\n")
         report(f"The first admin is {name}; the token is in {file}: `gaitway login < {file}`.")
 
 
