@@ -244,6 +244,15 @@ class ApiSettings(StoreSettings):
         None,
         description="Whether these workers use TLS to the object store; by default as GAITWAY_S3_SECURE.",
     )
+    worker_s3_access_key: str | None = Field(
+        None,
+        min_length=1,
+        description="Id of an access key for these workers alone, which may read and write the bucket; by "
+        "default they get GAITWAY_S3_ACCESS_KEY, with its secret.",
+    )
+    worker_s3_secret_key: SecretStr | None = Field(
+        None, min_length=1, description="Secret of GAITWAY_WORKER_S3_ACCESS_KEY."
+    )
     worker_tls_ca: Authorities | None = Field(
         None, description="GAITWAY_TLS_CA for these workers; by default the same."
     )
@@ -314,6 +323,12 @@ class ApiSettings(StoreSettings):
         description="Names of the API besides localhost and numeric addresses, separated by commas. Requests "
         "that name another host are refused; pages of these hosts may use the API.",
     )
+
+    @model_validator(mode="after")
+    def _has_both_parts_of_the_workers_key(self) -> Self:
+        if (self.worker_s3_access_key is None) != (self.worker_s3_secret_key is None):
+            raise ValueError(f"{PREFIX}WORKER_S3_ACCESS_KEY and {PREFIX}WORKER_S3_SECRET_KEY go together.")
+        return self
 
     @model_validator(mode="after")
     def _knows_whom_to_let_in(self) -> Self:

@@ -72,8 +72,8 @@ def read_worker_settings(service: ServiceDep) -> WorkerSettingsView:
 def _s3(settings: ApiSettings) -> dict[str, str]:
     is_secure = settings.s3_secure if settings.worker_s3_secure is None else settings.worker_s3_secure
     found = {
-        "s3_access_key": settings.s3_access_key,
-        "s3_secret_key": settings.s3_secret_key.get_secret_value(),
+        "s3_access_key": settings.worker_s3_access_key or settings.s3_access_key,
+        "s3_secret_key": (settings.worker_s3_secret_key or settings.s3_secret_key).get_secret_value(),
         "s3_bucket": settings.s3_bucket,
         "s3_secure": str(is_secure).lower(),
         "s3_style": settings.s3_style,

@@ -206,9 +206,15 @@ def test_a_worker_gets_the_stores_as_it_reaches_them_and_nothing_of_this_machine
     variables = worker.get("/workers/settings").json()["variables"]
     assert variables["GAITWAY_DATABASE_URL"] == "postgresql://worker:word@db.lab/gaitway"
     assert variables["GAITWAY_S3_ENDPOINT"] == "s3.lab:9000"
+    assert variables["GAITWAY_S3_ACCESS_KEY"] == lab.service.settings.s3_access_key
+    key = {"worker_s3_access_key": "worker", "worker_s3_secret_key": SecretStr("their own")}
+    lab.service.settings = lab.service.settings.model_copy(update=key)
+    variables = worker.get("/workers/settings").json()["variables"]
+    assert variables["GAITWAY_S3_ACCESS_KEY"] == "worker"
+    assert variables["GAITWAY_S3_SECRET_KEY"] == "their own"
     lab.service.audit_log.flush()
-    [joined] = lab.stack.store.audit(action="worker.").entries  # Not those that were refused.
-    assert (joined.user, joined.action) == ("root", "worker.joined")
+    joined = lab.stack.store.audit(action="worker.").entries  # Not those that were refused.
+    assert [(one.user, one.action) for one in joined] == [("root", "worker.joined")] * 2
     with pytest.raises(ValidationError):  # They are settings of a worker, but for its folder.
         WorkerSettings.model_validate(
             {name.removeprefix("GAITWAY_").lower(): value for name, value in variables.items()}
