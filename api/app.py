@@ -105,7 +105,8 @@ def build(settings: ApiSettings) -> FastAPI:
 def from_environment() -> FastAPI:
     """The service, configured from the environment; for `uvicorn --factory api.app:from_environment`.
 
-    Raises Misconfigured.
+    The caller answers for where it listens: `python -m api` refuses an address that others reach while the
+    service has no accounts, and this does not know the address. Raises Misconfigured.
     """
     from core.adapters.startup import check_stores
 

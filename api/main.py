@@ -51,6 +51,8 @@ class ApiServer(uvicorn.Server):
                 access_log=False,
                 log_config=None,
                 lifespan="off",
+                # Anybody may send X-Forwarded-For; limits and the audit log go by the address.
+                proxy_headers=False,
                 server_header=False,
                 timeout_graceful_shutdown=_GRACE_S,
                 timeout_keep_alive=30,

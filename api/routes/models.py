@@ -142,7 +142,7 @@ async def _added(
             is_zip = upload.beginning.startswith(_ZIP_BEGINNING)
             if (media_type == ZIP) != is_zip:
                 raise BadModel(f"The file is {'a' if is_zip else 'not a'} zip, but was sent as {media_type}.")
-            return await run_sync(_add, upload, media_type, sent, ownership, service)
+            return await run_sync(_add, upload, media_type, sent, ownership, service, principal)
     finally:
         service.num_uploads -= 1
 
@@ -227,7 +227,9 @@ def delete_model(model_id: ModelId, service: ServiceDep, principal: PrincipalDep
     remove_model(model_id, projects, store=service.store, objects=service.objects)
 
 
-def _add(upload: Upload, media_type: str, sent: Sent, ownership: Ownership, service: Service) -> ModelRecord:
+def _add(
+    upload: Upload, media_type: str, sent: Sent, ownership: Ownership, service: Service, principal: Principal
+) -> ModelRecord:
     store, main = service.store, sent.main
     if main is not None:
         named = with_end(upload, lambda end: with_main(end, main))
@@ -243,6 +245,7 @@ def _add(upload: Upload, media_type: str, sent: Sent, ownership: Ownership, serv
         queue=service.queue,
         now=store.now(),
         name=sent.name,
+        sender=principal,
         ownership=ownership,
     )
 

@@ -19,7 +19,7 @@ from api.sharing.importing import read_run
 from api.sharing.report import POLICY, open_report
 from api.submissions import IdempotencyKey, Upload, receiving
 from api.views import job_view
-from core.accounts.principal import AccountName, Principal
+from core.accounts.principal import AccountName, Ownership, Principal
 from core.errors import (
     BadExport,
     IdempotencyKeyReused,
@@ -143,12 +143,13 @@ async def import_job(
     said = request.headers.get("content-type", "")
     if said.partition(";")[0].strip().lower() not in _ZIP_TYPES:
         raise UnsupportedMediaType(said, what="an export", accepted=_ZIP_TYPES[:1])
+    ownership = await run_sync(ownership_of_new, principal, sent.project, service)
     if service.num_imports >= _IMPORTS_AT_ONCE:
         raise TooManyImports(_IMPORTS_AT_ONCE)
     service.num_imports += 1
     try:
         async with receiving(request, service.settings.max_import_bytes) as upload:
-            job = await run_sync(_import, upload, key, sent.project, service, principal)
+            job = await run_sync(_import, upload, key, ownership, service, principal)
     finally:
         service.num_imports -= 1
     headers = {"Location": f"/jobs/{job.id}"}
@@ -156,10 +157,9 @@ async def import_job(
 
 
 def _import(
-    upload: Upload, key: str | None, project: str | None, service: Service, principal: Principal
+    upload: Upload, key: str | None, ownership: Ownership, service: Service, principal: Principal
 ) -> Job:
     idempotency = None if key is None else Idempotency(key, upload.sha256, principal.user)
-    ownership = ownership_of_new(principal, project, service)
     if idempotency is not None and (known := service.store.remembered(idempotency)) is not None:
         return known
     with open_archive(upload.path, service.settings.max_import_bytes) as archive:

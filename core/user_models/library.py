@@ -5,7 +5,7 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from core.accounts.principal import NOBODYS, Ownership
+from core.accounts.principal import ANYONE, NOBODYS, Ownership, Principal
 from core.errors import BadModel, ModelNotFound, RecordsUnavailable
 from core.storage import keys
 from core.storage.objects import ObjectStore, read_whole
@@ -38,11 +38,13 @@ def add(  # noqa: PLR0913 # All but the file are named.
     queue: ModelQueue,
     now: datetime,
     name: str | None = None,
+    sender: Principal = ANYONE,
     ownership: Ownership = NOBODYS,
 ) -> ModelRecord:
     """The record of this file. Unless it is known and good, the file is stored and queued for validation.
 
-    A known model gets the new name, and the owner's project has it, too.
+    The owner's project has a known model, too. It gets the new name only where all whose it is are the
+    sender, or the sender is an admin: there is one name for all projects.
     """
     model_id = f"sha256:{sha256}"
     try:
@@ -51,9 +53,9 @@ def add(  # noqa: PLR0913 # All but the file are named.
         known = None
     if known is not None and known.status != "refused":
         store.claim_model(model_id, ownership)
-        if name is None or name == known.name:
+        if name in (None, known.name) or not _may_rename(model_id, sender, store):
             return known
-        store.name_model(model_id, name)
+        store.name_model(model_id, str(name))
         return known.model_copy(update={"name": name})
     record = ModelRecord(
         id=model_id,
@@ -70,6 +72,10 @@ def add(  # noqa: PLR0913 # All but the file are named.
         queue.enqueue_model(model_id)
         store.model_dispatched(model_id)
     return record
+
+
+def _may_rename(model_id: str, sender: Principal, store: ModelStore) -> bool:
+    return all(sender.may_change(one.owner) for one in store.owners_of_models([model_id]).get(model_id, ()))
 
 
 def forget(model_id: str, *, store: ModelStore, objects: ObjectStore) -> None:

@@ -2,15 +2,19 @@
 
 from collections.abc import Iterator
 from datetime import timedelta
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from fastapi import FastAPI
 
+from api import first_admin
 from api.access import names
-from api.routes import ROUTERS
+from api.routes import ROUTERS, sharing
 from core.accounts.principal import Ownership, TokenScope
+from core.adapters import wiring
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
@@ -40,9 +44,10 @@ def submitted(client: httpx.Client, **also: Any) -> dict[str, Any]:
     return answer.json()
 
 
-def model_of_ann(lab: Lab) -> None:
+def model_of_ann(lab: Lab, content: bytes | None = None) -> None:
+    model_id = MODEL if content is None else f"sha256:{sha256(content).hexdigest()}"
     record = ModelRecord(
-        id=MODEL,
+        id=model_id,
         status="ready",
         media_type="application/xml",
         size=7,
@@ -50,7 +55,7 @@ def model_of_ann(lab: Lab) -> None:
         description=DESCRIPTION,
     )
     lab.stack.store.add_model(record)
-    lab.stack.store.claim_model(MODEL, Ownership("ann", "a"))
+    lab.stack.store.claim_model(model_id, Ownership("ann", "a"))
 
 
 def trained_by_ann(lab: Lab) -> str:
@@ -214,6 +219,20 @@ def test_a_deleted_model_that_a_job_needs_is_nobodys(lab: Lab) -> None:
         assert pointers(document) == ["/environment/options/model"]
 
 
+def test_a_model_of_several_users_keeps_its_name_but_for_an_admin(lab: Lab) -> None:
+    model_of_ann(lab, content := b"<mujoco/>")
+
+    def name_after(user: str, name: str, project: str) -> object:
+        params, headers = {"name": name, "project": project}, {"Content-Type": "application/xml"}
+        return lab.of(user).post("/models", content=content, params=params, headers=headers).json()["name"]
+
+    assert name_after("ann", "dog", "a") == "dog"
+    assert name_after("amy", "cat", "a") == "dog"
+    assert name_after("bob", "cat", "b") == "dog"
+    assert name_after("ann", "cat", "a") == "dog"
+    assert name_after("root", "cat", "a") == "cat"
+
+
 def test_an_export_of_a_foreign_model_is_not_imported(lab: Lab) -> None:
     """Whoever knew a model's hash could have had its bytes, by an export of what they imported."""
     job_id = trained_by_ann(lab)
@@ -222,9 +241,10 @@ def test_an_export_of_a_foreign_model_is_not_imported(lab: Lab) -> None:
     answer = lab.of("ann").post("/jobs/import", content=archive, headers=zipped)
     assert answer.status_code == 201, answer.text
     assert (answer.json()["owner"], answer.json()["project"]) == ("ann", "a")
-    problem(
-        lab.of("ann").post("/jobs/import?project=b", content=archive, headers=zipped), 422, "invalid-request"
-    )
+    with pytest.MonkeyPatch.context() as unread:
+        unread.setattr(sharing, "receiving", None)
+        answer = lab.of("ann").post("/jobs/import?project=b", content=archive, headers=zipped)
+        problem(answer, 422, "invalid-request")
     model_of_ann(lab)
     on_model = changed(archive, edit("job.json", spec__environment=ON_MODEL))
     document = problem(
@@ -322,7 +342,7 @@ def test_a_name_that_nothing_can_have_is_not_found(lab: Lab, wrong: str) -> None
 
 
 def test_the_audit_log_says_who_did_what(lab: Lab) -> None:
-    named = {"X-Request-ID": "from-the-test"}
+    named = {"X-Request-ID": "from-the-test", "X-Forwarded-For": "10.9.8.7"}
     job_id = lab.of("ann").post("/jobs", json=JOB, headers=named).json()["id"]
     lab.of("ann").post("/jobs", json={"kind": "nothing"})  # Refused: nothing was done.
     lab.of("ann").post(f"/jobs/{job_id}/cancel")
@@ -349,6 +369,24 @@ def test_an_entry_that_an_outage_holds_back_comes_afterwards(lab: Lab) -> None:
     lab.service.audit_log.flush()
     actions = [one.action for one in lab.stack.store.audit(object=f"job {job_id}").entries]
     assert actions == ["job.submitted"]
+
+
+def test_there_is_no_first_admin_without_a_file_for_the_token(
+    lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(first_admin, "read", lambda _: None)
+    monkeypatch.setattr(wiring, "job_store", lambda *_, **__: lab.stack.store)
+    file = tmp_path / "token"
+    arguments = ["--name", "boss", "--file", str(file)]
+    assert first_admin.main(arguments) == 1  # There is an admin.
+    assert not file.exists()
+    file.write_text("taken")
+    assert first_admin.main([*arguments, "--anyway"]) == 1
+    assert "boss" not in [user.name for user in lab.stack.store.users()]
+    file.unlink()
+    assert first_admin.main([*arguments, "--anyway"]) == 0
+    with lab.with_token(file.read_text().strip()) as boss:
+        assert boss.get("/users").status_code == 200
 
 
 def test_without_accounts_everybody_is_an_admin_without_a_name(stack: Stack) -> None:
