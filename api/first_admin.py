@@ -8,7 +8,7 @@ from pathlib import Path
 
 from core.accounts.first_admin import first_admin, name_here, new_file
 from core.configuration import read, stopping_if_misconfigured
-from core.errors import Unavailable
+from core.errors import Conflict, Unavailable
 from core.settings import StoreSettings
 
 
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     "more."
                 )
             file.write(f"{secret.text}\n")
-    except (OSError, ValueError, Unavailable) as error:
+    except (OSError, ValueError, Conflict, Unavailable) as error:
         sys.stderr.write(f"{error}\n")
         return 1
     where = "" if chosen.file is None else f" Its token is in {chosen.file}: `gaitway login < {chosen.file}`."

@@ -203,10 +203,13 @@ class JobInUse(Conflict):
     code = "job-in-use"
     title = "Jobs need its checkpoint"
 
-    def __init__(self, job_id: str, jobs: Sequence[str]) -> None:
-        named = ", ".join(jobs[:5])
+    def __init__(self, job_id: str, jobs: Sequence[str], num_hidden: int = 0) -> None:
+        """jobs: those that may be named. num_hidden: how many others there are."""
+        self.jobs = tuple(jobs)
+        named = [*jobs[:5], *([f"{num_hidden} in projects that you do not see"] if num_hidden else [])]
         super().__init__(
-            f"{len(jobs)} unfinished jobs need a checkpoint of job {job_id} ({named}): cancel them first.",
+            f"{len(jobs) + num_hidden} unfinished jobs need a checkpoint of job {job_id} "
+            f"({', '.join(named)}): cancel them first.",
             job=job_id,
             jobs=list(jobs),
         )
@@ -266,6 +269,19 @@ class TokenNotFound(NotFound):
     def __init__(self, token_id: str) -> None:
         super().__init__(
             f"There is no token {token_id!r}; `gaitway tokens list` shows yours.", token=token_id
+        )
+
+
+class TooManyTokens(Conflict):
+    code = "too-many-tokens"
+    title = "The user has too many tokens"
+
+    def __init__(self, name: str, most: int) -> None:
+        super().__init__(
+            f"{name} has {most} tokens that are valid, the most that a user may have: revoke some by "
+            "`gaitway tokens revoke ID`, or let them expire.",
+            user=name,
+            most=most,
         )
 
 

@@ -36,6 +36,7 @@ from core.errors import (
     Rejected,
     SubjectTaken,
     TokenNotFound,
+    TooManyTokens,
     UserExists,
     UserNotFound,
 )
@@ -184,7 +185,7 @@ def list_tokens(
     status_code=201,
     dependencies=ACCOUNTS_ON,
     openapi_extra=body_of(_NEW_TOKEN),
-    responses=refusals(*_REFUSED, UserNotFound, Forbidden),
+    responses=refusals(*_REFUSED, UserNotFound, TooManyTokens, Forbidden),
 )
 def create_token(
     body: JsonBody, request: Request, service: ServiceDep, principal: PrincipalDep

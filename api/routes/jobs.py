@@ -174,9 +174,14 @@ def cancel_job(job_id: JobId, service: ServiceDep) -> Response:
     status_code=204,
     responses=refusals(JobNotFound, JobNotFinished, JobInUse, RecordsUnavailable, StorageUnavailable),
 )
-def delete_job(job_id: JobId, service: ServiceDep) -> None:
+def delete_job(job_id: JobId, service: ServiceDep, principal: PrincipalDep) -> None:
     """Delete an ended job and its files permanently."""
-    delete(job_id, store=service.store, objects=service.objects)
+    try:
+        delete(job_id, store=service.store, objects=service.objects)
+    except JobInUse as error:
+        needed = service.store.jobs_of(error.jobs)
+        seen = [borrower for borrower, job in needed.items() if principal.sees(job.project)]
+        raise JobInUse(job_id, seen, len(error.jobs) - len(seen)) from None
 
 
 def _workers(jobs: Sequence[Job | UnreadableJob], service: Service) -> Sequence[WorkerInfo] | None:

@@ -188,7 +188,7 @@ class AccountStore(Protocol):
         ...
 
     def add_token(self, token: Token, secret: Secret, actor: Actor) -> Token:
-        """Raises UserNotFound."""
+        """Raises UserNotFound; TooManyTokens where the user has MAX_TOKENS that are valid."""
         ...
 
     def tokens(self, user: str | None = None) -> Sequence[Token]:

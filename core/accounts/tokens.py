@@ -15,6 +15,8 @@ from dataclasses import dataclass
 TOKEN_ID = "[0-9a-f]{12}"  # noqa: S105 # Public, and a pattern.
 TOKEN = "gaitway"  # noqa: S105 # The beginning of each, and no secret.
 SESSION = "gaitway-session"
+# A user has at most this many that are neither revoked nor expired.
+MAX_TOKENS = 100
 _AFTER_PREFIX = f"_({TOKEN_ID})_([A-Za-z0-9_-]{{43}})"
 
 

@@ -191,6 +191,19 @@ def test_a_foreign_checkpoint_is_refused_as_one_that_does_not_exist(lab: Lab) ->
     problem(lab.of("bob").get(f"/jobs/{nowhere}"), 404, "job-not-found")
 
 
+def test_a_deletion_names_no_jobs_of_projects_that_one_does_not_see(lab: Lab) -> None:
+    job_id = trained_by_ann(lab)
+    rollout = {"kind": "rollout", "policy": {"kind": "checkpoint", "job": job_id}}
+    hidden = lab.of("two").post("/jobs", json={**rollout, "project": "b"}).json()["id"]
+    document = problem(lab.of("ann").delete(f"/jobs/{job_id}"), 409, "job-in-use")
+    assert document["jobs"] == []
+    assert f"of job {job_id} (1 in projects that you do not see)" in document["detail"]
+    seen = lab.of("amy").post("/jobs", json=rollout).json()["id"]
+    assert problem(lab.of("ann").delete(f"/jobs/{job_id}"), 409, "job-in-use")["jobs"] == [seen]
+    document = problem(lab.of("root").delete(f"/jobs/{job_id}"), 409, "job-in-use")
+    assert sorted(document["jobs"]) == sorted([hidden, seen])
+
+
 def test_a_foreign_model_is_refused_as_one_that_does_not_exist(lab: Lab) -> None:
     model_of_ann(lab)
     bob = lab.of("bob")

@@ -10,7 +10,7 @@ import pytest
 from core.accounts.principal import Ownership, Role, TokenScope
 from core.accounts.provider import Grant
 from core.accounts.store import Actor, AuditEntry, PageSession, Token, User
-from core.accounts.tokens import SESSION, Secret, new_secret, parse
+from core.accounts.tokens import MAX_TOKENS, SESSION, Secret, new_secret, parse
 from core.adapters.postgres import listing
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import (
@@ -21,6 +21,7 @@ from core.errors import (
     ProjectNotFound,
     Rejected,
     TokenNotFound,
+    TooManyTokens,
     UserExists,
     UserNotFound,
 )
@@ -91,6 +92,17 @@ def test_a_revoked_token_says_since_when_and_only_its_user_revokes_it(job_store:
     revoked = job_store.revoke_token(secret.id, ADMIN, user="ann")
     assert revoked.revoked_at is not None
     assert job_store.revoke_token(secret.id, ADMIN).revoked_at == revoked.revoked_at
+
+
+def test_a_user_has_so_many_tokens_that_are_valid(job_store: PostgresJobStore) -> None:
+    job_store.add_user(user("ann"), ADMIN)
+    job_store.add_user(user("bob"), ADMIN)
+    first, *_ = [add_token(job_store, "ann") for _ in range(MAX_TOKENS)]
+    with pytest.raises(TooManyTokens, match="ann has 100 tokens"):
+        add_token(job_store, "ann")
+    add_token(job_store, "bob")
+    job_store.revoke_token(first.id, ADMIN)
+    add_token(job_store, "ann")
 
 
 def test_names_that_exist_and_names_that_do_not_are_refused(job_store: PostgresJobStore) -> None:

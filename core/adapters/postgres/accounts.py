@@ -22,7 +22,7 @@ from core.accounts.store import (
     Token,
     User,
 )
-from core.accounts.tokens import Secret
+from core.accounts.tokens import MAX_TOKENS, Secret
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.tables import NOW, audit, members, projects, sessions, tokens, users
 from core.errors import (
@@ -34,6 +34,7 @@ from core.errors import (
     SubjectDiffers,
     SubjectTaken,
     TokenNotFound,
+    TooManyTokens,
     UserExists,
     UserNotFound,
 )
@@ -56,6 +57,11 @@ _PROJECTS = select(
 )
 _TOKENS = select(*(column for column in tokens.c if column.name not in ("user_name", "sha256"))).add_columns(
     tokens.c.user_name.label("user")
+)
+_VALID_TOKENS = (
+    select(func.count())
+    .select_from(tokens)
+    .where(tokens.c.revoked_at.is_(None), or_(tokens.c.expires_at.is_(None), tokens.c.expires_at > NOW))
 )
 _WAS_USED = or_(tokens.c.last_used_at.is_(None), tokens.c.last_used_at < NOW - _USE_NOTED_EVERY)
 _KNOWN_TOKEN = _TOKENS.add_columns(
@@ -249,6 +255,10 @@ class AccountQueries(Session):
         )
         with self._transaction() as connection:
             _find_user(connection, token.user)
+            # Two that make one at once come one after the other.
+            connection.execute(select(users.c.name).where(users.c.name == token.user).with_for_update())
+            if connection.execute(_VALID_TOKENS.where(_belongs_to(token.user))).scalar_one() >= MAX_TOKENS:
+                raise TooManyTokens(token.user, MAX_TOKENS)
             connection.execute(new)
             _note(
                 connection,
