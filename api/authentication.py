@@ -24,6 +24,8 @@ CACHED_S = 2.0
 # A burst may use what was left over in this time.
 _BURST_S = 10.0
 _MOST_CACHED = 10_000
+# Tokens that are refused cost queries, too. They are counted by address, since nobody is known.
+_GUESSES_PER_SECOND = 10.0
 # Threads of their own: requests may occupy all of the common pool.
 _THREADS = 4
 _HOW = "send `Authorization: Bearer gaitway_…`; `gaitway login` stores a token for the command"
@@ -49,8 +51,8 @@ class Unauthenticated(EdgeError):
 
 
 class TooManyRequests(EdgeError):
-    """A token makes more requests than GAITWAY_REQUESTS_PER_SECOND allows, or more sign-ins on the page have
-    failed from an address than GAITWAY_SIGN_INS_PER_MINUTE allows."""
+    """A user makes more requests than GAITWAY_REQUESTS_PER_SECOND allows, or more tokens are refused or
+    sign-ins on the page have failed from an address than are allowed (GAITWAY_SIGN_INS_PER_MINUTE)."""
 
     status = 429
     code = "too-many-requests"
@@ -118,8 +120,10 @@ class Authenticator:
     def __init__(self, store: AccountStore, requests_per_second: float, session_idle: timedelta) -> None:
         self._store = store
         self._session_idle = session_idle
-        sentence = "This token makes more than {most:g} requests a second"
+        sentence = "You make more than {most:g} requests a second, with all your tokens together"
         self._limit = RequestLimit(requests_per_second, 1.0, _BURST_S, sentence)
+        sentence = "More than {most:g} requests a second from this address have a token that is not accepted"
+        self._guesses = RequestLimit(_GUESSES_PER_SECOND, 1.0, _BURST_S, sentence)
         # By the hash of the whole token, so that no secret stays in memory.
         self._known: dict[str, tuple[float, Principal]] = {}
         self._threads = CapacityLimiter(_THREADS)
@@ -127,32 +131,47 @@ class Authenticator:
     async def principal(self, request: Request) -> Principal:
         """Who makes it, which counts. Raises Unauthenticated, TooManyRequests, RecordsUnavailable."""
         principal = await self.of_request(request)
-        self._limit.count(principal.token or f"user {principal.user}")
+        # All of a user's tokens together: anybody may make another one.
+        self._limit.count(f"user {principal.user}")
         return principal
 
     async def of_request(self, request: Request) -> Principal:
         """Who made it, as the record says now.
 
-        Raises Unauthenticated, CrossSiteRequest, RecordsUnavailable.
+        Raises Unauthenticated, CrossSiteRequest, TooManyRequests, RecordsUnavailable.
         """
+        address = "" if request.client is None else request.client.host
         session = None if "authorization" in request.headers else session_of(request)
         if session is None:
-            return await self._remembered(_secret(request), self.of_token)
+            return await self._remembered(_secret(request), self.of_token, address)
         check_sender(request)
-        return await self._remembered(session, self.of_session)
+        return await self._remembered(session, self.of_session, address)
 
     def forget(self, secret: Secret) -> None:
         """Ask the record again, for a session that has ended."""
         self._known.pop(secret.sha256, None)
 
-    async def _remembered(self, secret: Secret, find: Callable[[Secret], Principal]) -> Principal:
+    async def _remembered(
+        self, secret: Secret, find: Callable[[Secret], Principal], address: str
+    ) -> Principal:
         sha256 = secret.sha256
         until, principal = self._known.get(sha256, (0.0, None))
         if principal is not None and monotonic() < until:
             return principal
-        self._known.pop(sha256, None)
+        # What was accepted before is no guess: others at its address may not shut it out.
+        is_guess = principal is None
+        if is_guess:
+            self._guesses.count(address)
         until = monotonic() + CACHED_S
-        principal = await to_thread.run_sync(find, secret, limiter=self._threads)
+        try:
+            principal = await to_thread.run_sync(find, secret, limiter=self._threads)
+        except Unauthenticated:
+            self._known.pop(sha256, None)
+            is_guess = False
+            raise
+        finally:
+            if is_guess:
+                self._guesses.give_back(address)
         if len(self._known) >= _MOST_CACHED:
             self._known.clear()
         self._known[sha256] = (until, principal)

@@ -231,8 +231,8 @@ class ApiSettings(StoreSettings):
     requests_per_second: float = Field(
         500.0,
         gt=0,
-        description="How many requests a second one token may make in each process, on average over ten "
-        "seconds; further ones are answered 429, with the time to wait.",
+        description="How many requests a second one user may make in each process, with all tokens together, "
+        "on average over ten seconds; further ones are answered 429, with the time to wait.",
     )
     worker_database_url: WorkerDatabase = None
     worker_redis_url: RedisAddress | None = Field(

@@ -176,9 +176,32 @@ def test_a_token_that_asks_too_often_waits(lab: Lab, monkeypatch: pytest.MonkeyP
     assert [client.get("/whoami").status_code for _ in range(6)] == [200] * 5 + [429]
     answer = client.get("/whoami")
     problem(answer, 429, "too-many-requests")
-    assert lab.of("bob").get("/whoami").status_code == 200  # Each token has its own.
+    assert lab.of("ann", TokenScope.READ).get("/whoami").status_code == 429  # Another one does not help.
+    assert lab.of("bob").get("/whoami").status_code == 200
     moment[0] += int(answer.headers["Retry-After"])
     assert client.get("/whoami").status_code == 200
+
+
+def test_an_address_that_guesses_tokens_waits_and_shuts_out_none_that_was_known(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    find = lab.stack.store.find_token
+    monkeypatch.setattr(lab.stack.store, "find_token", lambda one: asked.append(one) or find(one))
+    monkeypatch.setattr(authentication, "_GUESSES_PER_SECOND", 0.3)
+    lab.service.authenticator = authentication.Authenticator(lab.service.store, 200, timedelta(days=1))
+    moment = [100.0]
+    monkeypatch.setattr(authentication, "monotonic", lambda: moment[0])
+    assert lab.of("ann").get("/whoami").status_code == 200
+    with lab.with_token(f"gaitway_{'0' * 12}_{'x' * 43}") as guessing:
+        assert [guessing.get("/whoami").status_code for _ in range(3)] == [401] * 3
+        document = problem(guessing.get("/whoami"), 429, "too-many-requests")
+    assert "from this address" in document["detail"]
+    assert len(asked) == 4
+    moment[0] += authentication.CACHED_S
+    assert lab.of("ann").get("/whoami").status_code == 200
+    moment[0] += 10
+    assert lab.of("bob").get("/whoami").status_code == 200
 
 
 def test_an_expired_token_says_when(lab: Lab) -> None:
