@@ -276,7 +276,7 @@ def list_users(service: ServiceDep) -> Listing[UserView]:
     responses=refusals(*_REFUSED, UserExists, ProjectNotFound),
 )
 def add_user(body: JsonBody, request: Request, service: ServiceDep, principal: PrincipalDep) -> UserView:
-    """Add a user, who gets in by a token that an admin makes, or by the identity provider."""
+    """Add a user, who gets in by a token that an admin makes, or by the identity provider once linked."""
     wanted = parse(body, _NEW_USER)
     user = User(
         name=wanted.name,
