@@ -172,6 +172,12 @@ def test_names_that_others_use_are_let_be(environ: pytest.MonkeyPatch) -> None:
     read(ApiSettings)
 
 
+def test_half_a_key_for_workers_is_refused(environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_WORKER_S3_ACCESS_KEY", "worker")
+    with pytest.raises(Misconfigured, match="GAITWAY_WORKER_S3_SECRET_KEY go together"):
+        read(ApiSettings)
+
+
 def test_a_reconciler_that_looks_too_seldom_is_refused(environ: pytest.MonkeyPatch) -> None:
     environ.setenv("GAITWAY_RECONCILE_EVERY", "10")
     assert "GAITWAY_RECONCILE_EVERY (10 s), or no lease ever runs out" in refusal(ReconcilerSettings)
