@@ -77,6 +77,18 @@ def test_a_worker_that_is_cancelled_drains_and_another_one_goes_on(
     assert result(ended) == undisturbed
 
 
+def test_hosts_that_share_a_job_start_together_drain_and_go_on_together(workers: World) -> None:
+    workers.keep_workers(OPTIONS.replace("[cpu]", "[cpu]\nhosts = [2]"))
+    two = {"accelerator": "cpu", "hosts": 2}
+    alone = workers.ended(workers.submit(STEPS // 2, resources=two))
+    job = workers.submit(STEPS // 2, resources=two)
+    workers.slurm.command("scancel", where(workers.trains(job, STEPS // 8))["id"])
+    ended = workers.ended(job)
+    assert [attempt.reason for attempt in ended.attempts] == ["worker_drained", "completed"]
+    assert result(ended) == result(alone)
+    wait_until(lambda: not workers.allocations(), 90)
+
+
 def test_a_preempted_worker_drains_and_another_one_goes_on(
     workers: World, undisturbed: Mapping[str, str]
 ) -> None:

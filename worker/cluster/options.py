@@ -1,6 +1,7 @@
 """What a site says about its Slurm: a TOML file, and the command line's options, which come before it."""
 
 import tomllib
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -9,8 +10,8 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from core.documents import Strict
 from core.environments.info import Device
 from core.errors import Misconfigured
-from core.jobs.slots import CPU, SlotKind
-from core.jobs.spec import MOST_GPUS
+from core.jobs.slots import SlotKind
+from core.jobs.spec import MOST_GPUS, MOST_HOSTS
 
 # A word in a line `#SBATCH --name=word`: nothing that ends the line, or begins a comment.
 Word = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[\w.,:+@%/=*!&|()\[\]-]+$")]
@@ -39,6 +40,11 @@ class Part(Strict):
     mem: Memory = Field("16G", description="Memory; without a unit in megabytes.")
     max: int | None = Field(None, ge=0, description="Allocations of this part at once.")
     options: list[Word] = Field(default=[], description="Further options of sbatch: `--nice=100`.")
+    hosts: list[Annotated[int, Field(ge=1, le=MOST_HOSTS)]] = Field(
+        default=[1],
+        min_length=1,
+        description="For jobs on these many hosts a worker is started on each of them, all at once.",
+    )
 
     @property
     def mem_mib(self) -> int:
@@ -135,6 +141,10 @@ class SlurmOptions(Strict):
             raise ValueError("neither [cpu] nor [gpu] is there: no worker could be started")
         if self.any is not None and getattr(self, self.any) is None:
             raise ValueError(f"any = {self.any!r}, but there is no [{self.any}]")
+        if self.container is not None and self.container.kind == "pyxis" and self._has_gangs:
+            raise ValueError(
+                "container.kind = 'pyxis' starts a worker by srun, as hosts above 1 do: use 'apptainer'"
+            )
         for name in ("cpu", "gpu"):
             part: Part | None = getattr(self, name)
             if part is not None and part.time_s is not None and part.time_s <= self.least_s:
@@ -160,8 +170,16 @@ class SlurmOptions(Strict):
     @property
     def kinds(self) -> tuple[SlotKind, ...]:
         """The kinds of slots that can be started."""
-        gpus = () if self.gpu is None else tuple(SlotKind("gpu", number) for number in self.gpu.gpus)
-        return (*(() if self.cpu is None else (CPU,)), *gpus)
+        cpu = () if self.cpu is None else self.cpu.hosts
+        gpu = () if self.gpu is None else product(self.gpu.gpus, self.gpu.hosts)
+        return (
+            *(SlotKind("cpu", hosts=hosts) for hosts in cpu),
+            *(SlotKind("gpu", gpus, hosts) for gpus, hosts in gpu),
+        )
+
+    @property
+    def _has_gangs(self) -> bool:
+        return any(kind.hosts > 1 for kind in self.kinds)
 
     def part(self, kind: SlotKind) -> Part:
         """Raises KeyError for a kind that is not one of `kinds`."""

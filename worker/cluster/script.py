@@ -74,6 +74,25 @@ done
 exit "$status"
 """
 
+# The script on the first host runs itself on each of them; ranks and addresses follow from Slurm's variables.
+# srun passes USR1 on, and takes SIGTERM for itself. Where one host's worker has ended, the others end, too.
+_GANG = """if [ "${1:-}" != task ]; then
+  export GAITWAY_HOSTS=@HOSTS@
+  gang= told=
+  tell() { told=1; [ -z "$gang" ] || kill -USR1 "$gang" 2>/dev/null; }
+  trap tell TERM INT USR1
+  srun --ntasks-per-node=1 --cpus-per-task="$SLURM_CPUS_PER_TASK" --kill-on-bad-exit=0 --wait=@WAIT@ \\
+    bash -c "$(cat "$0")" "$0" task &
+  gang=$!
+  [ -z "$told" ] || kill -USR1 "$gang"
+  while :; do
+    wait "$gang"
+    status=$?
+    kill -0 "$gang" 2>/dev/null || exit "$status"
+  done
+fi
+"""
+
 # Job control gives the loop a process group of its own, which `leave` ends. The ports are below those that
 # Linux gives to outgoing connections.
 _TUNNEL = """ports=()
@@ -196,7 +215,8 @@ def _worker(kind: SlotKind, options: SlurmOptions, place: Place) -> str:
         "ENVIRONMENT": "\n".join(f"export {name}={shlex.quote(value)}" for name, value in exports.items()),
         "COMMAND": options.command or place.command if container is None else _contained(container, kind),
     }
-    return _filled(_WORKER, parts).strip()
+    gang = {"HOSTS": str(kind.hosts), "WAIT": f"{options.grace + 20:.0f}"}
+    return (_filled(_GANG, gang) if kind.hosts > 1 else "") + _filled(_WORKER, parts).strip()
 
 
 def _filled(text: str, parts: dict[str, str]) -> str:

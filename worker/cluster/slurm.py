@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from core.errors import Misconfigured
-from core.jobs.slots import CPU, SlotKind
+from core.jobs.slots import SlotKind
 from worker.cluster.launcher import Allocation, AllocationState, LaunchRefused, SchedulerAway
 
 _TIMEOUT_S = 20.0
@@ -59,7 +59,7 @@ Script = Callable[[SlotKind, str, Sequence[str]], str]
 def name_of(kind: SlotKind) -> str:
     """A kind in a job's name: `cpu`, `gpu4`, `gpu8x2`."""
     hosts = f"x{kind.hosts}" if kind.hosts > 1 else ""
-    return "cpu" + hosts if kind == CPU else f"{kind.accelerator}{kind.gpus or ''}{hosts}"
+    return f"{kind.accelerator}{kind.gpus or ''}{hosts}"
 
 
 class Slurm:

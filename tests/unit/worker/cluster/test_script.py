@@ -108,6 +108,19 @@ def test_everything_that_the_file_says_is_in_the_script(tmp_path: Path) -> None:
     assert is_bash(script)
 
 
+def test_a_gang_asks_for_its_hosts_and_starts_the_script_on_each_of_them() -> None:
+    found = options(gpu={"gpus": [4], "hosts": [1, 2], "cpus": 6, "mem": "20G"})
+    assert found.kinds == (CPU, SlotKind("gpu", 4), SlotKind("gpu", 4, 2))
+    script = script_of(SlotKind("gpu", 4, 2), "g", found, PLACE)
+    for line in ("--nodes=2", "--ntasks-per-node=1", "--cpus-per-task=24", "--mem=80G", "--gres=gpu:4"):
+        assert f"#SBATCH {line}\n" in script
+    assert "export GAITWAY_HOSTS=2\n" in script
+    assert is_bash(script)
+    assert "srun" not in script_of(SlotKind("gpu", 4), "g", found, PLACE)
+    with pytest.raises(Misconfigured, match="use 'apptainer'"):
+        options(cpu={"hosts": [2]}, container={"kind": "pyxis", "image": "a/b:1"})
+
+
 def test_pyxis_starts_the_worker_by_srun_and_passes_on_a_signal_that_srun_passes_on() -> None:
     script = script_of(CPU, "g", options(container={"kind": "pyxis", "image": "ghcr.io#a/b:1"}), PLACE)
     assert 'kill -USR1 "$worker"' in script
