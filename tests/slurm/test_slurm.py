@@ -78,7 +78,9 @@ def test_a_worker_that_is_cancelled_drains_and_another_one_goes_on(
 
 
 def test_hosts_that_share_a_job_start_together_drain_and_go_on_together(workers: World) -> None:
-    workers.keep_workers(OPTIONS.replace("[cpu]", "[cpu]\nhosts = [2]"))
+    # The nodes are one machine, which has no address by their names.
+    coordinator = f"environment = {{GAITWAY_COORDINATOR = '127.0.0.1:{free_ports(1)[0]}'}}\n"
+    workers.keep_workers(OPTIONS.replace("[cpu]", coordinator + "[cpu]\nhosts = [2]"))
     two = {"accelerator": "cpu", "hosts": 2}
     alone = workers.ended(workers.submit(STEPS // 2, resources=two))
     job = workers.submit(STEPS // 2, resources=two)
