@@ -96,6 +96,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "num_waiting_models": lambda jobs: jobs.num_waiting_models(),
         "models": lambda jobs: jobs.models(),
         "list_models": lambda jobs: jobs.list_models(),
+        "queues_of_several_hosts": lambda jobs: jobs.queues_of_several_hosts(),
         "owner_of": lambda jobs: jobs.owner_of(job.id),
         "claim_model": lambda jobs: jobs.claim_model(MODEL, NOBODYS),
         "owners_of_models": lambda jobs: jobs.owners_of_models([MODEL]),

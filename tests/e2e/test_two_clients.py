@@ -19,6 +19,7 @@ from core.sweeps.controller import SweepController
 from gaitway import (
     AsyncClient,
     Client,
+    Conflict,
     Job,
     MissingExtra,
     NotFound,
@@ -52,7 +53,7 @@ class Either:
         portal = self._portal
         if portal is None:
             return method
-        if name in ("list", "events", "logs", "sweeps", "models", "workers"):
+        if name in ("list", "events", "logs", "sweeps", "models", "workers", "audit"):
             return lambda *args, **more: _items(method(*args, **more), portal)
 
         async def call(args: tuple[Any, ...], more: dict[str, Any]) -> Any:
@@ -92,6 +93,7 @@ def test_every_method_does_the_same(stack: Stack, client: Either, tmp_path: Path
     _files(stack, client, tmp_path)
     _bodies(stack, client, tmp_path)
     _sweeps(stack, client)
+    _accounts(client)
     assert client.health() == {"status": "ok"}
     assert client.called == METHODS - {"close"}  # the fixture calls it
 
@@ -224,6 +226,28 @@ def _sweeps(stack: Stack, client: Either) -> None:
     client.delete_sweep(sweep.id)
     with pytest.raises(NotFound):
         client.get_sweep(sweep.id)
+
+
+def _accounts(client: Either) -> None:
+    """This service has no accounts: each call reaches its route, which says so."""
+    assert client.whoami().user is None
+    for refused in (
+        lambda: client.create_token("read"),
+        lambda: client.tokens(),
+        lambda: client.revoke_token("0" * 12),
+        lambda: client.add_user("bob"),
+        lambda: client.users(),
+        lambda: client.change_user("bob", role="viewer"),
+        lambda: client.add_project("gaits"),
+        lambda: client.change_members("gaits", add=["bob"]),
+        lambda: client.worker_settings(),
+        lambda: list(client.audit()),
+    ):
+        with pytest.raises(Conflict, match="no accounts"):
+            refused()
+    assert [project.name for project in client.projects()] == ["default"]
+    assert all(slots.queued >= 0 for slots in client.slots().items)
+    assert client.usage().until >= client.usage().since
 
 
 @pytest.mark.parametrize("kind", [Client, AsyncClient])

@@ -88,8 +88,8 @@ def test_a_job_is_accepted_while_something_else_writes_into_redis(service: Servi
     service.client.set("rq:queue:gaitway-any-normal", "no list")
     with capture_logs() as said:
         job = service.submit()
-    assert [line["event"] for line in said] == ["dispatch_postponed"]
-    assert "WRONGTYPE" in said[0]["error"]
+    assert [line["event"] for line in said] == ["job_submitted", "dispatch_postponed"]
+    assert "WRONGTYPE" in said[1]["error"]
     assert service.store.get(job.id).status == JobStatus.QUEUED
     for _ in range(2):  # The reconciler says so at each look, and lives on.
         with pytest.raises(RecordsUnavailable, match="WRONGTYPE"):
@@ -112,7 +112,7 @@ def test_a_job_is_accepted_when_redis_refuses_it_in_words_that_nobody_knows(
             job = submitted(service.store, RQQueue(guest))
     finally:
         service.client.acl_deluser("guest")
-    assert [line["event"] for line in said] == ["dispatch_failed"]
+    assert [line["event"] for line in said] == ["job_submitted", "dispatch_failed"]
     assert service.store.undispatched() == [Dispatch("attempt", job.id, 1)]
     service.run_once()
     assert service.queue.contains(job.id, 1)

@@ -19,7 +19,7 @@ from core.errors import Rejected
 def test_what_two_devices_cannot_share_evenly_is_refused(
     change: dict[str, Any], sentence: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jax, "local_devices", lambda: jax.devices() * 2)
+    monkeypatch.setattr(jax, "local_devices", lambda process_index=0: jax.devices() * 2)
     with pytest.raises(Rejected, match=sentence):
         Sharding.over(2, PPOSpec.model_validate(change))
 

@@ -28,7 +28,7 @@ def task(device: str) -> Task:
 
 
 def pretend(monkeypatch: pytest.MonkeyPatch, *kinds: str) -> None:
-    gpus = [SimpleNamespace(platform="gpu", device_kind=kind) for kind in kinds]
+    gpus = [SimpleNamespace(platform="gpu", device_kind=kind, process_index=0) for kind in kinds]
     monkeypatch.setattr(jax, "devices", lambda: gpus)
 
 
