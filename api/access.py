@@ -1,4 +1,4 @@
-"""What each route needs, in one place; a route that is not listed here does not start.
+"""The access that each route needs, in one place; the API does not start with a route that is not listed.
 
 A route with an id in its path also checks whose that is: what lies in other people's projects is not found,
 and only its owner or an admin changes it.
@@ -23,7 +23,7 @@ from core.jobs.store import Whose
 
 @dataclass(frozen=True)
 class Access:
-    """What a route needs. role: at least this; None: no token at all.
+    """The access that a route needs. role: at least this; None: no token at all.
 
     user: the role that the user needs, where the token may have a lesser scope. worker: a token of that
     scope, and no other. owns: the thing in its path has to be the user's own, or the user an admin. action:
@@ -147,7 +147,7 @@ def names(route: object) -> list[str]:
 
 
 async def authorize(request: Request, service: ServiceDep) -> Principal:
-    """Who makes the request, if they may; for every route.
+    """Find out who makes the request, and check that they may; for every route.
 
     Raises Unauthenticated, TooManyRequests, Forbidden, NotFound, RecordsUnavailable.
     """

@@ -1,4 +1,4 @@
-"""What requests have changed, for the audit log: gathered for a tenth of a second, and written together."""
+"""The audit log of requests: entries are gathered for a tenth of a second, and written together."""
 
 from collections.abc import Callable, Sequence
 from threading import Lock, Timer
@@ -12,7 +12,7 @@ from core.jobs.job import utc_now
 log = structlog.get_logger()
 _GATHER_S = 0.1
 _PAUSE_IN_OUTAGE_S = 1.0
-# What an outage of the record may hold back; after that the oldest are dropped, and the log says so.
+# An outage of the record holds back so many entries; then the oldest are dropped, and the log says so.
 _MOST_HELD = 10_000
 
 

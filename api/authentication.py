@@ -129,14 +129,17 @@ class Authenticator:
         self._threads = CapacityLimiter(_THREADS)
 
     async def principal(self, request: Request) -> Principal:
-        """Who makes it, which counts. Raises Unauthenticated, TooManyRequests, RecordsUnavailable."""
+        """The principal who makes the request; the request is counted.
+
+        Raises Unauthenticated, CrossSiteRequest, TooManyRequests, RecordsUnavailable.
+        """
         principal = await self.of_request(request)
         # All of a user's tokens together: anybody may make another one.
         self._limit.count(f"user {principal.user}")
         return principal
 
     async def of_request(self, request: Request) -> Principal:
-        """Who made it, as the record says now.
+        """The principal who made the request, by the record of now.
 
         Raises Unauthenticated, CrossSiteRequest, TooManyRequests, RecordsUnavailable.
         """
@@ -178,7 +181,7 @@ class Authenticator:
         return principal
 
     def of_token(self, secret: Secret) -> Principal:
-        """Who holds this token, as the record says now. Raises Unauthenticated, RecordsUnavailable."""
+        """The holder of this token, by the record of now. Raises Unauthenticated, RecordsUnavailable."""
         known = self._store.find_token(secret.id)
         # The same work for an id that does not exist.
         if not secret.matches("" if known is None else known.sha256) or known is None:
@@ -187,7 +190,7 @@ class Authenticator:
         return known.principal
 
     def of_session(self, secret: Secret) -> Principal:
-        """Who is signed in by this session. Raises Unauthenticated, RecordsUnavailable."""
+        """The principal who is signed in by this session. Raises Unauthenticated, RecordsUnavailable."""
         known = self._store.find_session(secret.id, self._session_idle)
         if not secret.matches("" if known is None else known.sha256) or known is None:
             raise Unauthenticated("The session has ended: sign in again.", "session-ended")

@@ -37,7 +37,7 @@ _MARGIN_S = 5.0
 
 
 class Instruments:
-    """What one process of the API counts."""
+    """The counters of one process of the API."""
 
     def __init__(self) -> None:
         self._own = CollectorRegistry()
@@ -82,7 +82,7 @@ class Instruments:
             self._store_seconds.labels(store).observe(seconds)
 
     def collectors(self) -> Iterator[Collector]:
-        """What this process counts, or all processes of this API."""
+        """The counters of this process, or of all processes of this API."""
         if os.environ.get(SHARED_FOLDER):
             yield MultiProcessCollector(None)
         else:
@@ -91,7 +91,7 @@ class Instruments:
 
 @dataclass(frozen=True)
 class Reading:
-    """What was read of the record."""
+    """The numbers that were read from the record."""
 
     numbers: RecordNumbers
     wanted: Sequence[WantedSlots]
@@ -144,7 +144,7 @@ def exposition(instruments: Instruments, record: RecentReading, accept: str) -> 
 
 
 def families(reading: Reading) -> Iterator[Metric]:
-    """What Prometheus is shown of the record."""
+    """The record's numbers, as Prometheus gets them."""
     numbers = reading.numbers
     if numbers.beat_at is not None:
         silence_s = max(0.0, (numbers.moment - numbers.beat_at).total_seconds())

@@ -84,7 +84,7 @@ def keep_attempt(response: Response, text: str, *, over_tls: bool) -> None:
 
 
 def attempt_of(request: Request) -> str:
-    """What `keep_attempt` had the browser keep, or nothing."""
+    """The sign-in that `keep_attempt` left with the browser, or None."""
     return _cookie(request, _ATTEMPT)
 
 

@@ -95,7 +95,7 @@ class Owners:
             return self._known.get(name)
 
     def of(self, name: str, find: Callable[[str], Ownership]) -> Ownership:
-        """What `find` says, or has said. Raises what it raises."""
+        """The answer of `find`, or the one that it gave before. Raises as `find` does."""
         if (ownership := self.known(name)) is None:
             ownership = find(name)
             with self._lock:

@@ -125,7 +125,7 @@ def is_safe_address(address: str) -> bool:
 
 
 class GroupGrant(BaseModel):
-    """What the members of one of the identity provider's groups get here."""
+    """The role and projects that members of one of the identity provider's groups get."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -26,7 +26,7 @@ AccountName = Annotated[str, Field(pattern=f"^{NAME}$", examples=["ann"])]
 
 
 class Role(StrEnum):
-    """What a user may do, the least first."""
+    """A user's rights, the least first."""
 
     VIEWER = "viewer"
     SUBMITTER = "submitter"
@@ -38,7 +38,7 @@ class Role(StrEnum):
 
 
 class TokenScope(StrEnum):
-    """What a token may do at most. A `worker` token does nothing but join a worker."""
+    """The most that a token may do. A `worker` token does nothing but join a worker."""
 
     READ = "read"
     SUBMIT = "submit"

@@ -1,4 +1,4 @@
-"""What the lab's identity provider says of somebody, and what they may do here by that."""
+"""The answer of the lab's identity provider about a user, and the rights that follow from it."""
 
 import re
 from collections.abc import Mapping
@@ -66,7 +66,7 @@ class ProviderRules:
         )
 
     def grant(self, claims: Mapping[str, Any]) -> Grant:
-        """What a checked ID token's claims grant. Raises SignInRefused."""
+        """The rights that the claims of a checked ID token grant. Raises SignInRefused."""
         subject = f"{claims['iss']}#{claims['sub']}"
         self._check_domain(claims)
         name = self._name(claims)

@@ -1,4 +1,4 @@
-"""What workers and the reconciler count and time, as sums over all of them, for monitoring.
+"""Counts and times of workers and the reconciler, as sums over all of them, for monitoring.
 
 A process gathers its own and adds them to the record now and then. Sums that an outage loses do no harm.
 """
@@ -79,7 +79,7 @@ class Tallies:
             self.add(STORE_SECONDS, seconds, store)
 
     def take(self) -> Sequence[Tally]:
-        """What has been gathered since the last call."""
+        """The sums gathered since the last call."""
         with self._lock:
             gathered, self._gathered = self._gathered, {}
         return [
@@ -104,7 +104,7 @@ class Report:
             self.now()
 
     def now(self) -> None:
-        """What an unavailable record does not take is dropped."""
+        """Sums that an unavailable record does not take are dropped."""
         self._due_at = time.monotonic() + self._every_s
         with suppress(RecordsUnavailable):
             self._add(self._tallies.take())

@@ -24,7 +24,7 @@ DEVICES_SHOWN, MOST_DEVICES = timedelta(days=1), 1000
 
 @dataclass(frozen=True)
 class LedgerEntry:
-    """What the ledger gains. hour: its beginning. jobs, attempts: how many ended.
+    """An entry of the ledger. hour: its beginning. jobs, attempts: how many ended.
 
     status: the job's afterwards; `queued` if it waits for another attempt. host, device: the worker's; empty
     for a job that ended without an attempt. seconds: of the attempt in this hour; gpu_seconds: those, times
@@ -140,7 +140,7 @@ class UsageStore(Protocol):
         ...
 
     def usage(self, since: datetime) -> Usage:
-        """What was used since the beginning of that hour."""
+        """The use since the beginning of that hour."""
         ...
 
     def add_tallies(self, tallies: Sequence[Tally]) -> None:
@@ -149,7 +149,7 @@ class UsageStore(Protocol):
 
 
 def entries(job: Job, before: JobStatus) -> list[LedgerEntry]:
-    """What the ledger gains from a change of a job's status. before: its status until then."""
+    """The entries that a change of a job's status adds to the ledger. before: its status until then."""
     attempt = job.attempts[-1] if before.is_held and not job.status.is_held else None
     if attempt is None and not job.status.is_final:
         return []

@@ -1,4 +1,4 @@
-"""What is wrong with the options of a site, before anything is started: asked of Slurm itself."""
+"""Checks of a site's options by Slurm itself, before anything is started."""
 
 import re
 from collections.abc import Sequence

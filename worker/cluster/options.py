@@ -1,4 +1,4 @@
-"""What a site says about its Slurm: a TOML file, and the command line's options, which come before it."""
+"""A site's options for Slurm: a TOML file, and the command line, which comes before the file."""
 
 import tomllib
 from itertools import product

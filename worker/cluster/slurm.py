@@ -142,7 +142,7 @@ class Slurm:
 
 
 def last_words(log: Path) -> str:
-    """What the log says last: of a worker that cannot work, its own sentence. Empty without a log."""
+    """The log's last line; a worker that cannot work writes its reason there. Empty without a log."""
     try:
         with log.open("rb") as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - 8192))

@@ -1,4 +1,4 @@
-"""Who is signed in on the page."""
+"""Sessions of those who are signed in on the page."""
 
 from datetime import datetime
 
