@@ -110,6 +110,9 @@ match behaviour:
     case "crashes":
         print("Traceback: something", flush=True)
         sys.exit(3)
+    case "says_a_line_and_waits":
+        print("it runs", flush=True)
+        signal.pause()
     case "takes_memory":
         taken: list[bytearray] = []
         while len(taken) < 256:  # 4 GiB: nobody would stop it.

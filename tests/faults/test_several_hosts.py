@@ -17,6 +17,7 @@ from tests.faults.bench import SPEC, wait_until
 from tests.faults.two_hosts import ON_TWO, TwoHosts, probe
 from worker.gang.connection import ConnectionLost, connect
 from worker.host.child import TRAINING
+from worker.host.locks import slots
 from worker.supervision.supervisor import Supervisor
 
 Hosts = Callable[..., TwoHosts]
@@ -103,10 +104,11 @@ def test_a_cancel_keeps_the_work_and_ends_both_parts(hosts: Hosts) -> None:
 
 
 def test_a_drain_of_the_second_host_gives_the_job_back_with_a_checkpoint(hosts: Hosts) -> None:
-    two = hosts(probe("ignores_signals"))
+    two = hosts(probe("says_a_line_and_waits"))
     job = two.bench.submit(**ON_TWO)
     thread = threading.Thread(target=two.supervisor(job, probe("waits")).run)
     thread.start()
+    wait_until(lambda: any(line.endswith(", rank 1] it runs") for line in two.bench.printed(job)))
     wait_until(lambda: two.bench.store.get(job.id).newest("checkpoint") is not None)
     two.draining.set()
     thread.join(20)
@@ -115,6 +117,30 @@ def test_a_drain_of_the_second_host_gives_the_job_back_with_a_checkpoint(hosts: 
     checkpoint = left.newest("checkpoint")
     assert checkpoint is not None
     assert checkpoint.step == 20
+
+
+def test_a_drain_before_the_second_host_has_started_gives_the_job_back(hosts: Hosts) -> None:
+    two = hosts(probe("never started"))
+    supervisor = two.supervisor(two.bench.submit(**ON_TWO), probe("waits"))
+    with slots([two.lock_of_the_second], 1.0):
+        thread = threading.Thread(target=supervisor.run)
+        thread.start()
+        job_id = supervisor.claim.job_id
+        wait_until(lambda: two.bench.store.get(job_id).newest("checkpoint") is not None)
+        two.draining.set()
+        thread.join(20)
+    left = two.bench.store.get(job_id)
+    assert (left.status, left.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
+    assert "before it had started" in (left.attempts[0].message or "")
+
+
+def test_a_drain_before_the_second_host_has_heard_of_the_job_gives_it_back(hosts: Hosts) -> None:
+    two = hosts(probe("never started"))
+    supervisor = two.supervisor(two.bench.submit(**ON_TWO), probe("waits"))
+    two.draining.set()
+    supervisor.run()
+    left = two.bench.store.get(supervisor.claim.job_id)
+    assert (left.status, left.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
 
 
 def test_a_host_with_another_secret_or_another_place_is_refused(hosts: Hosts) -> None:

@@ -44,6 +44,11 @@ class TwoHosts:
         self._thread = threading.Thread(target=self.member().serve)
         self._thread.start()
 
+    @property
+    def lock_of_the_second(self) -> Path:
+        """That of the second host's device: who holds it keeps the part there from starting."""
+        return self._folder / "locks" / "slot-of-the-second.lock"
+
     def member(self, secret: bytes = SECRET, rank: int = 1) -> GangMember:
         return GangMember(
             Place(2, rank, "127.0.0.1", self.gang.port, secret),

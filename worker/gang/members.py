@@ -109,7 +109,8 @@ class Gang:
         for connection in list(self._unnamed):
             self._name(connection)
         for member in self.members:
-            list(member.messages())  # Nothing but signs of life, and the end.
+            if any(isinstance(message, Ended) for message in list(member.messages())):
+                member.lost = "its worker shuts down"
             if member.lost:
                 log.warning("host_left", rank=member.rank, host=member.host, why=member.lost)
                 self._drop(member)

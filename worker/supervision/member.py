@@ -55,6 +55,7 @@ log = structlog.get_logger()
 _POLL_S = 0.1
 _ALIVE_EVERY_S = 1.0
 _AGAIN_S, _AGAIN_AFTER_REFUSAL_S = 1.0, 10.0
+_NOT_STARTED = "The worker was shut down before it had started."
 _COMPILED = ("compile", "first_update")
 
 
@@ -113,8 +114,12 @@ class GangMember:
         connection.send(encoded(joined))
 
     def _follow(self, connection: Connection) -> None:
-        """Run attempts until the connection is lost, or a drain. Raises ConnectionLost."""
-        while not self.draining.is_set():
+        """Run an attempt. Raises ConnectionLost, and CalledOff at a drain before one has begun here."""
+        while True:
+            if self.draining.is_set():
+                # The leader may have begun one all the same.
+                connection.send(encoded(_failed(Reason.WORKER_DRAINED, _NOT_STARTED)))
+                raise CalledOff
             show_life(self.settings.alive_file)
             for frame in connection.received():
                 match GANG_MESSAGE.validate_json(frame):
@@ -130,7 +135,7 @@ class GangMember:
                         return  # The leader closes the connection; the next attempt has a fresh one.
                     case _:
                         pass
-            pause(_POLL_S, self.draining.is_set)
+            time.sleep(_POLL_S)
 
     def _say(self, event: str, detail: str) -> None:
         """Log it unless it was the last thing said."""
@@ -176,7 +181,7 @@ class MemberAttempt:
         except SlotTaken as error:
             return _failed(Reason.DEVICE_HELD, str(error))
         except CalledOff:
-            return _failed(Reason.WORKER_DRAINED, "The worker was shut down before it had started.")
+            return _failed(Reason.WORKER_DRAINED, _NOT_STARTED)
         except OSError as error:
             if not is_full(error):
                 raise

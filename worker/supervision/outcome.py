@@ -45,7 +45,9 @@ def judge(
     exit_status: negative: the signal that ended it. memory_ran_out: the kernel was killing for memory then.
     """
     if isinstance(last_word, Failed):
-        if last_word.reason in RETRIED and stop is not Stop.TIMEOUT:
+        # Only a part on another host fails by a drain: it had not started yet.
+        is_retried = last_word.reason in RETRIED | {Reason.WORKER_DRAINED}
+        if is_retried and stop is not Stop.TIMEOUT:
             return Outcome(None, last_word.reason, last_word.message)
         return Outcome(JobStatus.FAILED, last_word.reason, last_word.message)
     if isinstance(last_word, Finished) and not last_word.stopped:

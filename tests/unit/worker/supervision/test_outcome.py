@@ -14,6 +14,7 @@ DIVERGED = Failed(reason=Reason.DIVERGED, message="The reward became non-finite.
 BAD_CARD = Failed(reason=Reason.DEVICE_FAILED, message="The device gpu:0 reported an error.")
 TOO_LARGE = Failed(reason=Reason.OUT_OF_MEMORY, message="The memory of gpu:0 ran out.")
 NO_MEMORY = Failed(reason=Reason.OUT_OF_HOST_MEMORY, message="The worker's memory ran out.")
+DRAINED = Failed(reason=Reason.WORKER_DRAINED, message="The worker was shut down before it had started.")
 FULL = Failed(reason=Reason.STORAGE_UNAVAILABLE, message="The disk of the worker is full.")
 
 
@@ -38,6 +39,7 @@ FULL = Failed(reason=Reason.STORAGE_UNAVAILABLE, message="The disk of the worker
         (None, -9, None, None, Reason.TRAINING_KILLED),
         *((None, -number, None, None, Reason.NATIVE_CRASH) for number in (SIGSEGV, SIGBUS, SIGILL, SIGABRT)),
         (BAD_CARD, 1, None, None, Reason.DEVICE_FAILED),
+        (DRAINED, 1, None, None, Reason.WORKER_DRAINED),
         # What the device lacks once, it lacks every time.
         (TOO_LARGE, 1, None, JobStatus.FAILED, Reason.OUT_OF_MEMORY),
         (NO_MEMORY, 1, None, None, Reason.OUT_OF_HOST_MEMORY),
