@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO
 
@@ -158,6 +158,25 @@ def free_ports(count: int) -> list[int]:
 def are_free(ports: Sequence[int]) -> bool:
     """Whether nothing on the loopback interface listens at any of them now."""
     return all(_is_free(port) for port in ports)
+
+
+def claim(ports: Sequence[int]) -> list[socket.socket] | None:
+    """What keeps these ports from other launchers of ours until it is closed; None if one of them is taken.
+
+    A server listens only a moment after its ports were chosen, and another could choose them meanwhile. So
+    its launcher holds the UDP ports of the same numbers.
+    """
+    with ExitStack() as claims:
+        held = [claims.enter_context(socket.socket(type=socket.SOCK_DGRAM)) for _ in ports]
+        try:
+            for one, port in zip(held, ports, strict=True):
+                one.bind(("127.0.0.1", port))
+        except OSError:
+            return None
+        if not are_free(ports):
+            return None
+        claims.pop_all()
+    return held
 
 
 def _is_free(port: int) -> bool:

@@ -5,6 +5,7 @@ import re
 import secrets
 import shutil
 import site
+import socket
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,7 +14,7 @@ from typing import Self
 
 from core.installation import to_install
 from gaitway.service.embedded.folders import private_folder, remembered, write_private
-from gaitway.service.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
+from gaitway.service.embedded.processes import ServerFailed, ServerProcess, claim, free_ports
 from gaitway.service.embedded.server import Server
 
 REGION = "us-east-1"
@@ -80,6 +81,7 @@ class Weed(Server):
             self._folder / "keys.json", lambda: [secrets.token_hex(10), secrets.token_urlsafe(30)]
         )
         self._ports: list[int] = []
+        self._claims: list[socket.socket] = []
         self.process = ServerProcess("weed", self._folder)
         self._is_stuck, self._heard_bytes = False, 0
 
@@ -93,7 +95,8 @@ class Weed(Server):
 
         A restart keeps the ports, because other processes know them.
         """
-        self._ports = self._ports or self._choose_ports()
+        if not self._claims:
+            self._ports, self._claims = self._claimed_ports()
         names = [f"{listener}.{port}" for listener in _LISTENERS for port in ("port", "port.grpc")]
         ports = [f"-{name}={port}" for name, port in zip(names, self._ports, strict=True)]
         arguments = [f"-dir={self._folder / 'data'}", *_OPTIONS, *ports]
@@ -115,19 +118,20 @@ class Weed(Server):
             with suppress(_PortTaken):
                 self._wait_until_it_keeps()
                 return self
-            # A port was taken between the check and the start: the next check sees that.
+            # Another program took a port between the check and the start: the next check sees that.
             self.stop()
-            self._ports = []
             self.launch()
         raise ServerFailed(f"weed found other ports taken at each of {_TRIES} starts.")
 
     def stop(self) -> None:
         # Acknowledged writes are in files already; else it would wait half a minute for idle connections.
         self.process.stop(grace_s=2)
-        for port in self._ports:
+        for port, claim_of_it in zip(self._ports, self._claims, strict=False):
             for left in _sockets(port):
                 with suppress(PermissionError):
                     left.unlink(missing_ok=True)
+            claim_of_it.close()
+        self._claims = []
 
     def environment(self) -> dict[str, str]:
         """The settings under which a process of the service finds it."""
@@ -170,14 +174,15 @@ class Weed(Server):
                 raise _PortTaken from None
             raise
 
-    def _choose_ports(self) -> list[int]:
+    def _claimed_ports(self) -> tuple[list[int], list[socket.socket]]:
+        """One for each listener and one for its gRPC; and what keeps other launchers from them."""
         path = self._folder / "ports.json"
         avoided = _ports_of_others()
-        ports = remembered(path, lambda: _free_ports(avoided))
-        if are_free(ports) and avoided.isdisjoint(ports):
-            return ports
-        path.unlink()
-        return remembered(path, lambda: _free_ports(avoided))
+        while True:
+            ports = remembered(path, lambda: free_ports(2 * len(_LISTENERS)))
+            if avoided.isdisjoint(ports) and (claims := claim(ports)) is not None:
+                return ports, claims
+            path.unlink()
 
     def _process_environment(self) -> dict[str, str]:
         """Without the user's own AWS or SeaweedFS settings; no list of processes shows the keys."""
@@ -211,19 +216,11 @@ def _sockets(port: int | str = "*") -> list[Path]:
 def _ports_of_others() -> set[int]:
     """Ports whose socket another user has left: weed could not replace it, and would not start."""
     found: set[int] = set()
-    for socket in _sockets():
+    for left in _sockets():
         with suppress(FileNotFoundError, ValueError):
-            if socket.lstat().st_uid != os.getuid():
-                found.add(int(socket.stem.rpartition("-")[2]))
+            if left.lstat().st_uid != os.getuid():
+                found.add(int(left.stem.rpartition("-")[2]))
     return found
-
-
-def _free_ports(avoided: set[int]) -> list[int]:
-    """One for each listener and one for its gRPC."""
-    wanted = 2 * len(_LISTENERS)
-    while not avoided.isdisjoint(ports := free_ports(wanted)):
-        pass
-    return ports
 
 
 def binary() -> str:

@@ -17,7 +17,7 @@ import urllib3
 from core.adapters.startup import prepare_database
 from core.adapters.wiring import connect_redis, job_store, object_store
 from core.settings import WorkerSettings
-from gaitway.service.embedded.processes import ServerFailed, are_free, free_ports
+from gaitway.service.embedded.processes import ServerFailed, are_free, claim, free_ports
 from gaitway.service.embedded.servers import EmbeddedServers
 from gaitway.service.embedded.valkey import Valkey
 from gaitway.service.embedded.weed import Weed
@@ -161,11 +161,10 @@ class TestRestart:
         with socket.socket() as taken:
             taken.bind(("127.0.0.1", 0))
             blind = [taken.getsockname()[1], *free_ports(9)]
-            # Another test may take one of the next ports, too: then it looks once more.
             offers = chain([blind], iter(lambda: free_ports(10), None))
-            looks = chain([True], repeat(False))
+            looks = chain([lambda _: []], repeat(claim))
             monkeypatch.setattr("gaitway.service.embedded.weed.free_ports", lambda _: next(offers))
-            monkeypatch.setattr("gaitway.service.embedded.weed.are_free", lambda _: next(looks))
+            monkeypatch.setattr("gaitway.service.embedded.weed.claim", lambda ports: next(looks)(ports))
             with Weed(tmp_path) as weed:
                 assert weed.endpoint != f"127.0.0.1:{blind[0]}"
 

@@ -1,5 +1,6 @@
-"""Ports of an embedded SeaweedFS on a machine that several users share."""
+"""Ports of an embedded SeaweedFS on a machine that several users share, or several tests."""
 
+import json
 import os
 from pathlib import Path
 
@@ -7,6 +8,14 @@ import pytest
 
 from gaitway.service.embedded import weed
 from gaitway.service.embedded.weed import Weed
+
+
+def ports_of(folder: Path) -> list[int]:
+    """Those that it would take, given up again."""
+    ports, claims = Weed(folder)._claimed_ports()
+    for claim in claims:
+        claim.close()
+    return ports
 
 
 @pytest.fixture
@@ -21,9 +30,23 @@ def sockets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_port_whose_socket_another_user_has_left_is_not_taken_again(
     tmp_path: Path, sockets: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = Weed(tmp_path / "weed")._choose_ports()
-    assert Weed(tmp_path / "weed")._choose_ports() == before
+    before = ports_of(tmp_path)
+    assert ports_of(tmp_path) == before
     (sockets / f"seaweedfs-filer-grpc-{before[3]}.sock").touch()
-    assert Weed(tmp_path / "weed")._choose_ports() == before  # Our own: weed replaces it.
+    assert ports_of(tmp_path) == before  # Our own: weed replaces it.
     monkeypatch.setattr(os, "getuid", lambda: -2)
-    assert before[3] not in Weed(tmp_path / "weed")._choose_ports()
+    assert before[3] not in ports_of(tmp_path)
+
+
+def test_two_that_start_at_the_same_moment_do_not_share_a_port(tmp_path: Path) -> None:
+    one, other = Weed(tmp_path / "one"), Weed(tmp_path / "other")
+    (tmp_path / "other" / "ports.json").write_text(json.dumps(ports_of(tmp_path / "one")))
+    try:
+        one.launch()
+        other.launch()
+        assert one.endpoint != other.endpoint
+        one.wait_ready()
+        other.wait_ready()
+    finally:
+        one.stop()
+        other.stop()
