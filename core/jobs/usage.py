@@ -97,18 +97,21 @@ class RecordNumbers:
 
 @dataclass(frozen=True)
 class ProjectUsage:
-    """What a user's jobs of a project took in a window, with those that run now.
+    """What a user's jobs of a project took in a window, with those that run now, and how many wait now.
 
-    owner: empty without accounts.
+    owner: empty without accounts. oldest_queued_s: for how long the oldest of those that wait has, since its
+    submission; None if none waits.
     """
 
     project: str
     owner: str
-    jobs: int
-    attempts: int
-    running: int
-    seconds: float
-    gpu_seconds: float
+    jobs: int = 0
+    attempts: int = 0
+    running: int = 0
+    seconds: float = 0.0
+    gpu_seconds: float = 0.0
+    queued: int = 0
+    oldest_queued_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -190,13 +193,13 @@ def usage_of(
 ) -> Usage:
     """The sums of the ledger, and of the attempts that run now.
 
-    ended: by project and user, from `since`. devices: the seconds of each hour from `day`, by host and
-    device.
+    ended: by project and user, from `since`, with what waits. devices: the seconds of each hour from `day`,
+    by host and device.
     """
     projects, busy = dict(ended), {key: dict(hours) for key, hours in devices.items()}
     for attempt in running:
         who, where = (attempt.project, attempt.owner), host_and_device(attempt.worker)
-        used = projects.get(who, ProjectUsage(*who, 0, 0, 0, 0.0, 0.0))
+        used = projects.get(who, ProjectUsage(*who))
         seconds = max(0.0, (until - max(since, attempt.started_at)).total_seconds())
         projects[who] = replace(
             used,

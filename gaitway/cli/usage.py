@@ -34,7 +34,7 @@ def usage(
     table = Table(box=None, pad_edge=False)
     table.add_column("PROJECT", overflow="fold")
     table.add_column("USER", overflow="fold")
-    for column in ("GPU HOURS", "HOURS", "ATTEMPTS", "JOBS ENDED", "RUNNING"):
+    for column in ("GPU HOURS", "HOURS", "ATTEMPTS", "JOBS ENDED", "RUNNING", "QUEUED"):
         table.add_column(column, justify="right")
     for used in found.projects:
         table.add_row(*map(Text, _row(used)))
@@ -43,7 +43,8 @@ def usage(
 
 def _row(used: ProjectUsageView) -> tuple[str, ...]:
     hours = (f"{seconds / 3600:,.2f}" for seconds in (used.gpu_seconds, used.seconds))
-    return (used.project, used.owner or "–", *hours, str(used.attempts), str(used.jobs), str(used.running))
+    numbers = map(str, (used.attempts, used.jobs, used.running, used.queued))
+    return (used.project, used.owner or "–", *hours, *numbers)
 
 
 def _moment(text: str) -> datetime:

@@ -179,7 +179,8 @@ class ProjectUsageView(View):
     """What a user's jobs of a project have used. owner: empty in a service without accounts.
 
     jobs, attempts: how many ended; running: attempts that run now. seconds: of all attempts; gpu_seconds:
-    those, times the GPUs that each had.
+    those, times the GPUs that each had. queued: jobs that wait now, the oldest for oldest_queued_s since its
+    submission; null if none waits.
     """
 
     project: str
@@ -189,6 +190,8 @@ class ProjectUsageView(View):
     running: int = 0
     seconds: float = 0.0
     gpu_seconds: float = 0.0
+    queued: int = 0
+    oldest_queued_s: float | None = None
 
 
 class DeviceUsageView(View):

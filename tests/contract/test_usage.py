@@ -1,5 +1,6 @@
 """What the record promises of the ledger, and of the numbers for monitoring."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 from core.jobs.job import Job, utc_now
@@ -65,6 +66,16 @@ def test_usage_before_the_window_is_left_out_and_what_runs_is_cut(jobs: JobStore
     assert set(device.seconds[1:-1]) == {3600.0}
 
 
+def test_what_waits_now_is_told_by_project_and_user(jobs: JobStore) -> None:
+    for number in range(3):
+        jobs.add(queued_job(number))
+    begun(jobs, queued_job(3), timedelta(seconds=1))
+    (used,) = jobs.usage(utc_now()).projects
+    assert (used.queued, used.running) == (3, 1)
+    assert used.oldest_queued_s is not None
+    assert used.oldest_queued_s >= 0
+
+
 def test_old_entries_forget_their_hosts_and_lose_nothing(jobs: JobStore, database: Database) -> None:
     for number, name in enumerate(("node1:gpu:0:a1b2c3", "node2:gpu:1:a1b2c3", "node2:cpu:a1b2c3")):
         job = begun(jobs, queued_job(number), timedelta(seconds=30), name)
@@ -72,13 +83,14 @@ def test_old_entries_forget_their_hosts_and_lose_nothing(jobs: JobStore, databas
     jobs.tidy()
     assert database.count("usage") == 3
     database.change("UPDATE usage SET hour = '2026-01-01 00:00Z'")
-    before = jobs.usage(datetime(2025, 1, 1, tzinfo=UTC)).projects
+    (before,) = jobs.usage(datetime(2025, 1, 1, tzinfo=UTC)).projects
     jobs.tidy()
     assert database.read("SELECT host, device, attempts FROM usage ORDER BY device") == [
         ("", "cpu", 1),
         ("", "gpu", 2),
     ]
-    assert jobs.usage(datetime(2025, 1, 1, tzinfo=UTC)).projects == before
+    (after,) = jobs.usage(datetime(2025, 1, 1, tzinfo=UTC)).projects
+    assert replace(after, oldest_queued_s=before.oldest_queued_s) == before
 
 
 def test_the_numbers_name_what_runs_and_the_pulse(jobs: JobStore) -> None:

@@ -25,7 +25,7 @@ export default function Workers({ query }) {
     <//>`}
     <div class="grid">${data.workers.map((worker) => html`<${Worker} key=${worker.name} worker=${worker} usage=${data.usage} />`)}</div>
     <${Pages} path=${["workers"]} query=${query} next=${data.next} name="Pages of workers" first="First workers" more="More workers" />
-    <${Queue} queued=${data.queued} workers=${data.all} slots=${data.slots} />
+    <${Queue} queued=${data.queued} workers=${data.all} slots=${data.slots} usage=${data.usage} />
   </div>`;
 }
 
@@ -44,9 +44,9 @@ async function load(cursor, signal) {
 let usage;
 let usageAt = 0;
 
-/** How busy the devices were, at most half a minute old: it changes slowly. */
+/** How busy the devices were, and whose jobs wait: some seconds old, so that many open pages do not sum it all the time. */
 async function lastDay(signal) {
-  if (!usage || Date.now() - usageAt > 30_000) {
+  if (!usage || Date.now() - usageAt > 6_000) {
     usage = await get("/usage", {}, { signal });
     usageAt = Date.now();
   }
@@ -95,16 +95,33 @@ function Wanted({ slots }) {
         <td data-label="Running" class="number">${slot.running}</td>
         <td data-label="Longest wait" class="number">${duration(slot.oldest_queued_s)}</td>
       </tr>`)}</tbody>
-    </table></div>
-    <h3>Job by job</h3>`;
+    </table></div>`;
 }
 
-function Queue({ queued, workers, slots }) {
+/** Whose jobs wait. */
+function ByProject({ usage }) {
+  const waiting = usage.projects.filter((used) => used.queued > 0).sort((one, other) => other.queued - one.queued);
+  if (!waiting.length) return null;
+  return html`<h3>By project</h3>
+    <div class="table stacking" tabindex="0" role="region" aria-label="By project"><table>
+      <thead><tr><th>Project</th><th>User</th><th class="number">Waiting</th><th class="number">Running</th><th class="number">Longest wait</th></tr></thead>
+      <tbody>${waiting.map((used) => html`<tr key=${`${used.project}/${used.owner}`}>
+        <td data-label="Project">${used.project}</td>
+        <td data-label="User">${used.owner || "–"}</td>
+        <td data-label="Waiting" class="number">${used.queued}</td>
+        <td data-label="Running" class="number">${used.running}</td>
+        <td data-label="Longest wait" class="number">${duration(used.oldest_queued_s)}</td>
+      </tr>`)}</tbody>
+    </table></div>`;
+}
+
+function Queue({ queued, workers, slots, usage }) {
   const jobs = [...queued.items].reverse(); // The oldest is the next of its priority.
   return html`<section class="card"><h2>Queue</h2>
     ${!jobs.length && html`<p class="facts">Nothing waits.</p>`}
     <${Wanted} slots=${slots} />
-    ${jobs.length > 0 && html`<div class="table stacking" tabindex="0" role="region" aria-label="Queue"><table>
+    <${ByProject} usage=${usage} />
+    ${jobs.length > 0 && html`<h3>Job by job</h3><div class="table stacking" tabindex="0" role="region" aria-label="Queue"><table>
       <thead><tr><th>Job</th><th>Priority</th><th>Needs</th><th>Waits since</th><th>Why</th></tr></thead>
       <tbody>${jobs.map((job) => html`<tr key=${job.id}>
         <td data-label="Job"><span><a href="#/jobs/${job.id}">${title(job)}</a> <span class="facts">${environmentOf(job.spec)}</span></span></td>

@@ -12,14 +12,12 @@ import structlog
 from sqlalchemy import (
     ARRAY,
     Connection,
-    Double,
     Integer,
     Text,
     all_,
     and_,
     bindparam,
     case,
-    cast,
     delete,
     func,
     literal,
@@ -34,7 +32,7 @@ from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres import models
 from core.adapters.postgres.engine import Session
-from core.adapters.postgres.rows import HELD, interval, jobs_of_rows
+from core.adapters.postgres.rows import HELD, age_s, interval, jobs_of_rows
 from core.adapters.postgres.tables import NOW, UNFINISHED, attempts, dispatches, jobs, pulse
 from core.adapters.postgres.tables import models as models_table
 from core.errors import LeaseLost
@@ -197,7 +195,7 @@ def _queue_counts() -> Any:
             jobs.c.queue,
             func.count().filter(is_queued),
             func.count().filter(jobs.c.status.in_(HELD)),
-            _age_s(func.min(since).filter(is_queued)),
+            age_s(func.min(since).filter(is_queued)),
         )
         .select_from(jobs.outerjoin(attempts, last))
         .where(jobs.c.status.in_(UNFINISHED))
@@ -205,12 +203,8 @@ def _queue_counts() -> Any:
         .having(func.count().filter(or_(is_queued, jobs.c.status.in_(HELD))) > 0)
     )
     of_models = (
-        select(literal(LAST), func.count(), literal(0), _age_s(func.min(models_table.c.created_at)))
+        select(literal(LAST), func.count(), literal(0), age_s(func.min(models_table.c.created_at)))
         .where(models_table.c.status == "validating")
         .having(func.count() > 0)
     )
     return union_all(of_jobs, of_models)
-
-
-def _age_s(moment: Any) -> Any:
-    return case((moment.is_not(None), cast(func.greatest(0, func.extract("epoch", NOW - moment)), Double)))

@@ -8,9 +8,10 @@ from typing import Any, cast
 
 from pydantic import ValidationError
 from pydantic_core import from_json
-from sqlalchemy import ARRAY, Connection, Row, Text, any_, bindparam, case, func, literal, select
+from sqlalchemy import ARRAY, Connection, Double, Row, Text, any_, bindparam, case, func, literal, select
+from sqlalchemy import cast as cast_to
 
-from core.adapters.postgres.tables import artifacts, attempts, jobs
+from core.adapters.postgres.tables import NOW, artifacts, attempts, jobs
 from core.bounds import LONGEST_MESSAGE
 from core.documents import read_leniently
 from core.errors import JobNotFound, JobUnreadable
@@ -124,6 +125,11 @@ def attempt_values(job_id: str, attempt: Attempt) -> Values:
 def artifact_values(job_id: str, position: int, artifact: Artifact) -> Values:
     facts = json.dumps(artifact.model_dump(mode="json")["metadata"])
     return {**artifact.model_dump(), "job_id": job_id, "position": position, "metadata": facts}
+
+
+def age_s(moment: Any) -> Any:
+    """Its age in seconds; NULL for none."""
+    return case((moment.is_not(None), cast_to(func.greatest(0, func.extract("epoch", NOW - moment)), Double)))
 
 
 def columns(row: Row[Any]) -> Values:

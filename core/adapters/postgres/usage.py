@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any
 
@@ -22,7 +22,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres.engine import Session
-from core.adapters.postgres.rows import HELD, columns
+from core.adapters.postgres.rows import HELD, age_s, columns
 from core.adapters.postgres.tables import NOW, UNFINISHED, attempts, jobs, pulse, tallies, usage
 from core.jobs.job import Job
 from core.jobs.slots import kind_of_queue
@@ -82,6 +82,16 @@ _RUNNING = (
     select(jobs.c.project, jobs.c.owner, jobs.c.queue, attempts.c.worker, attempts.c.started_at)
     .join(jobs, and_(jobs.c.id == attempts.c.job_id, jobs.c.num_attempts == attempts.c.number))
     .where(jobs.c.status.in_(HELD))
+)
+_QUEUED = (
+    select(
+        jobs.c.project,
+        func.coalesce(jobs.c.owner, "").label("owner"),
+        func.count().label("number"),
+        age_s(func.min(jobs.c.created_at)).label("oldest_s"),
+    )
+    .where(jobs.c.status == "queued")
+    .group_by(jobs.c.project, jobs.c.owner)
 )
 _MOMENT = select(NOW.label("moment"), pulse.c.beat_at).select_from(
     select(literal(1).label("one")).subquery().outerjoin(pulse, true())
@@ -150,10 +160,14 @@ class UsageQueries(Session):
             used = connection.execute(_USED, {"since": since}).all()
             busy = connection.execute(_BUSY, {"since": day}).all()
             running = _running(connection)
+            queued = connection.execute(_QUEUED).all()
         devices: dict[tuple[str, str], dict[datetime, float]] = defaultdict(dict)
         for row in busy:
             devices[row.host, row.device][row.hour] = row.seconds
-        ended = {(row.project, row.owner): ProjectUsage(**columns(row), running=0) for row in used}
+        ended = {(row.project, row.owner): ProjectUsage(**columns(row)) for row in used}
+        for row in queued:
+            used_by = ended.get(who := (row.project, row.owner), ProjectUsage(*who))
+            ended[who] = replace(used_by, queued=row.number, oldest_queued_s=row.oldest_s)
         return usage_of(ended, devices, running, since=since, day=day, until=now)
 
     def add_tallies(self, tallies: Sequence[Tally]) -> None:

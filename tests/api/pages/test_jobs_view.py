@@ -194,3 +194,5 @@ def test_workers_and_the_queue_say_what_waits_and_why(stack: Stack, make_tab: Ma
     row = page.get_by_role("row").filter(has_text="wants a GPU")
     expect(row).to_contain_text("No worker has exactly one GPU: the workers here have cpu.")
     expect(page.get_by_role("heading", name="host:cpu")).to_be_visible()
+    waiting = page.get_by_role("region", name="By project").get_by_role("row").nth(1)
+    expect(waiting.get_by_role("cell").nth(2)).to_have_text("1")

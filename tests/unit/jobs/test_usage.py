@@ -101,7 +101,7 @@ def test_a_workers_name_names_host_and_device(name: str, parts: tuple[str, str])
 
 
 def test_what_runs_now_is_counted_from_the_beginning_of_the_window() -> None:
-    ended = {WHO: ProjectUsage(*WHO, jobs=2, attempts=3, running=0, seconds=100, gpu_seconds=100)}
+    ended = {WHO: ProjectUsage(*WHO, jobs=2, attempts=3, seconds=100, gpu_seconds=100)}
     attempts = [RunningAttempt(*WHO, "node1:gpu:0,1:a1b2c3", at(-60))]
     devices = {("node1", "gpu:0,1"): {at(0): 60.0}}
     found = usage_of(ended, devices, attempts, since=at(0), day=at(0), until=at(90))
