@@ -1,5 +1,6 @@
 """Who may use which route: every route, with tokens of each role and scope."""
 
+import re
 from collections.abc import Iterator
 from datetime import timedelta
 from itertools import product
@@ -182,6 +183,16 @@ def test_a_token_that_asks_too_often_waits(lab: Lab, monkeypatch: pytest.MonkeyP
     assert client.get("/whoami").status_code == 200
 
 
+def _counted(lab: Lab, route: str, status: int) -> float:
+    """How many requests of this route monitoring has seen end so."""
+    (number,) = re.findall(
+        rf'^gaitway_http_requests_total.*route="{route}",status="{status}"}} (\S+)$',
+        lab.of("root").get("/metrics").text,
+        re.MULTILINE,
+    )
+    return float(number)
+
+
 def test_an_address_that_guesses_tokens_waits_and_shuts_out_none_that_was_known(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -202,6 +213,7 @@ def test_an_address_that_guesses_tokens_waits_and_shuts_out_none_that_was_known(
     assert lab.of("ann").get("/whoami").status_code == 200
     moment[0] += 10
     assert lab.of("bob").get("/whoami").status_code == 200
+    assert _counted(lab, "/whoami", 401) == 3
 
 
 def test_an_expired_token_says_when(lab: Lab) -> None:
