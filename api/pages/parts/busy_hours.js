@@ -10,7 +10,7 @@ export function busyShare(usage, seconds) {
   return seconds.reduce((sum, more) => sum + more, 0) / Math.max(passed, 1);
 }
 
-export const percent = (share) => `${Math.round(100 * Math.min(share, 1))} %`;
+export const percent = (share) => (share > 0 && share < 0.005 ? "under 1 %" : `${Math.round(100 * Math.min(share, 1))} %`);
 
 /** name: of the device, for those who do not see the picture. */
 export function BusyHours({ usage, seconds, name }) {

@@ -37,7 +37,7 @@ function Projects({ usage }) {
     <p class="facts">Since ${moment(usage.since)}. Running attempts are counted up to now, and what deleted jobs have used stays counted.</p>
     ${usage.projects.length === 0 && html`<p class="facts">Nothing was used.</p>`}
     ${usage.projects.length > 0 && html`<div class="table stacking" tabindex="0" role="region" aria-label="By project and user"><table>
-      <thead><tr><th>Project</th><th>User</th><th class="number">GPU hours</th><th class="number">Hours</th><th class="number">Attempts</th><th class="number">Jobs ended</th><th class="number">Running</th><th>Share</th></tr></thead>
+      <thead><tr><th>Project</th><th>User</th><th class="number">GPU hours</th><th class="number">Hours</th><th class="number">Attempts</th><th class="number">Jobs ended</th><th class="number">Running</th><th class="number">Waiting</th><th>Share</th></tr></thead>
       <tbody>${usage.projects.map((used) => html`<tr key=${`${used.project}/${used.owner}`}>
         <td data-label="Project">${used.project}</td>
         <td data-label="User">${used.owner || "–"}</td>
@@ -46,6 +46,7 @@ function Projects({ usage }) {
         <td data-label="Attempts" class="number">${count(used.attempts)}</td>
         <td data-label="Jobs ended" class="number">${count(used.jobs)}</td>
         <td data-label="Running" class="number">${count(used.running)}</td>
+        <td data-label="Waiting" class="number">${count(used.queued)}</td>
         <td data-label="Share"><svg class="share" viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true"><rect width=${(100 * (used.gpu_seconds || used.seconds)) / most} height="8" /></svg></td>
       </tr>`)}</tbody>
     </table></div>`}
