@@ -11,8 +11,9 @@ import mujoco
 import numpy as np
 
 from core.environments.environment import CONTINUOUS, Discretization, Observation, State
+from core.environments.numbers import Ends, Noise, NotSimulated, Numbers
 from core.environments.rewards import total
-from core.environments.simulation import Ends, Noise, NotSimulated, Numbers, Simulation, as_xml
+from core.environments.simulation import Simulation, as_xml
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
 

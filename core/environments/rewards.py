@@ -1,8 +1,7 @@
 """Reward and termination terms: pure functions; the environments weight them, and `total` adds them up.
 
-The built-in environments and those that a job makes of terms (`mjcf`) use the same functions. Names and forms
-are common to locomotion tasks: Brax and Gymnasium (forward velocity, alive, control cost), legged_gym and
-MuJoCo Playground (velocity tracking, action rate, energy, joint limits).
+The built-in environments use them; those of a job that is made of terms have their formulas in
+`core.environments.terms`.
 """
 
 import operator
@@ -28,18 +27,6 @@ def velocity(
 ) -> Float[Array, "*shape"]:
     """(p' − p) / dt in m/s. before p, after p': in metres, of any shape; the result has the same."""
     return (after - before) / dt
-
-
-def forward_velocity(
-    before: Float[Array, "3"], after: Float[Array, "3"], direction: Float[Array, "3"], dt: float
-) -> Scalar:
-    """d · (p' − p) / dt in m/s. before p, after p', direction d of length 1: [3]. Returns []."""
-    return jnp.dot(velocity(before, after, dt), direction)
-
-
-def velocity_tracking(moving: Float[Array, "2"], wanted: Float[Array, "2"], tolerance: float) -> Scalar:
-    """exp(−‖v − v*‖² / σ²), in (0, 1]. moving v, wanted v*: [2] in m/s; tolerance σ in m/s. Returns []."""
-    return jnp.exp(-jnp.sum(jnp.square(moving - wanted)) / tolerance**2)
 
 
 def linear_tolerance(value: Scalar, target: float | Scalar, margin: float | Scalar) -> Scalar:
@@ -76,35 +63,6 @@ def control_cost(action: Float[Array, " nu"]) -> Scalar:
     return jnp.sum(jnp.square(action))
 
 
-def energy(force: Float[Array, " nv"], speed: Float[Array, " nv"]) -> Scalar:
-    """Σ |τ q̇| in W. force τ: the actuators' on each degree of freedom, speed q̇: [nv]. Returns []."""
-    return jnp.sum(jnp.abs(force * speed))
-
-
-def action_rate(action: Float[Array, " nu"], previous_action: Float[Array, " nu"]) -> Scalar:
-    """Σ (aₜ − aₜ₋₁)². Both [nu]. Returns []."""
-    return jnp.sum(jnp.square(action - previous_action))
-
-
 def distance(position: Float[Array, " axes"], target: Float[Array, " axes"]) -> Scalar:
     """‖p − p*‖ in m. position p, target p*: [axes]. Returns []."""
     return jnp.linalg.norm(position - target)
-
-
-def joint_limits(
-    position: Float[Array, " joints"],
-    low: Float[Array, " joints"],
-    high: Float[Array, " joints"],
-    share: float,
-) -> Scalar:
-    """Σ max(0, |q − m| − s h) in rad or m, with m the middle of a joint's range and h half of its width.
-
-    position q, low, high: [joints]; share s: the part of the range without cost. Returns [].
-    """
-    middle, half = (low + high) / 2, (high - low) / 2
-    return jnp.sum(jnp.maximum(0.0, jnp.abs(position - middle) - share * half))
-
-
-def contact(num_found: Float[Array, " geoms"]) -> Scalar:
-    """How many of the geoms touch something. num_found: [geoms], contacts of each. Returns []."""
-    return jnp.sum(jnp.where(num_found > 0, 1.0, 0.0))

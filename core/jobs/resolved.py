@@ -12,8 +12,7 @@ from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.check import problems
-from core.environments.mjcf.info import MjcfOptions
-from core.environments.mjcf.slices import mjcf_slices
+from core.environments.mjcf.info import MjcfOptions, mjcf_slices
 from core.errors import EnvironmentNotFound, ModelNotFound, Problem, Rejected
 from core.jobs.job import Job
 from core.jobs.spec import Accelerator, EnvironmentSpec, JobSpec, TrainSpec

@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 from core.accounts.principal import Ownership
 from core.documents import Stored
 from core.environments.info import Device
-from core.environments.mjcf.inventory import Inventory
+from core.environments.terms.inventory import Inventory
 from core.physics.availability import EngineName
 
 ModelStatus = Literal["validating", "ready", "refused"]

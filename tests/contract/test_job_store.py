@@ -11,7 +11,7 @@ from functools import partial
 import pytest
 from structlog.testing import capture_logs
 
-from core.environments.mjcf.inventory import Inventory, Sizes
+from core.environments.terms.inventory import Inventory, Sizes
 from core.errors import (
     IdempotencyKeyReused,
     JobExists,

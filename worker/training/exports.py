@@ -17,7 +17,7 @@ from core.algorithms.export.network import NotExportable, PolicyNetwork, network
 from core.algorithms.export.numpy_file import numpy_file
 from core.environments.environment import Environment, Wrapped
 from core.environments.mujoco_env import MujocoEnv
-from core.environments.simulation import NotSimulated
+from core.environments.numbers import NotSimulated
 from core.jobs.spec import TrainSpec
 from worker.protocol import Noted
 from worker.training.built_environment import BuiltEnvironment

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.environments.mjcf.describe import root_of
-from core.environments.mjcf.inventory import Inventory
+from core.environments.terms.inventory import Inventory
 from core.physics.coverage import slippery_contacts
 from core.physics.model import initial_qpos
 

@@ -11,7 +11,8 @@ from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.info import AntOptions
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
-from core.environments.simulation import Ends, Noise, Simulation, numbers
+from core.environments.numbers import Ends, Noise, numbers
+from core.environments.simulation import Simulation
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import BRAX_SOLVER, brax_spec
 

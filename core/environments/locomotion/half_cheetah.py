@@ -9,7 +9,8 @@ from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.info import HalfCheetahOptions
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
-from core.environments.simulation import Noise, Simulation, numbers
+from core.environments.numbers import Noise, numbers
+from core.environments.simulation import Simulation
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model, brax_spec
 

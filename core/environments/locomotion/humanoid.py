@@ -18,7 +18,8 @@ from core.environments.mujoco_env import (
     scaled_to_control,
     travel,
 )
-from core.environments.simulation import SHARE_VELOCITY, Ends, Noise, Simulation, numbers, rows
+from core.environments.numbers import SHARE_VELOCITY, Ends, Noise, numbers, rows
+from core.environments.simulation import Simulation
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import BRAX_SOLVER, brax_model, brax_spec
 

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from core.environments.environment import State
 from core.environments.info import NoOptions
 from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
-from core.environments.simulation import Ends, Noise, Simulation, numbers
+from core.environments.numbers import Ends, Noise, numbers
+from core.environments.simulation import Simulation
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model, brax_spec
 

@@ -6,21 +6,11 @@ from itertools import islice
 
 from core.bounds import LONGEST_NAME, MOST_OBSERVED, MOST_PROBLEMS
 from core.documents import Strict
-from core.environments.mjcf.info import MjcfOptions
-from core.environments.mjcf.inventory import Inventory, Kind
-from core.environments.mjcf.slices import num_observed
-from core.environments.mjcf.vocabulary import (
-    Activation,
-    Contact,
-    Distance,
-    ForwardVelocity,
-    JointLimits,
-    Qpos,
-    Reset,
-    Sensors,
-    Touching,
-    VelocityTracking,
-)
+from core.environments.mjcf.info import MjcfOptions, Reset, observed
+from core.environments.terms.inventory import Inventory, Kind
+from core.environments.terms.observations import Activation, Qpos, Sensors
+from core.environments.terms.rewards import Contact, Distance, ForwardVelocity, JointLimits, VelocityTracking
+from core.environments.terms.terminations import Touching
 from core.errors import Problem
 from core.nearest import nearest
 
@@ -73,7 +63,7 @@ class _Parts:
 def problems(options: MjcfOptions, model: Inventory) -> list[Problem]:
     """Places where the options name something that the model does not have, up to fifty."""
     found = list(islice(_of_options(options, _Parts(model)), MOST_PROBLEMS))
-    if not found and (number := num_observed(options, model)) > MOST_OBSERVED:
+    if not found and (number := sum(term.size(model) for term in observed(options))) > MOST_OBSERVED:
         detail = f"The observation has {number:,} numbers; at most {MOST_OBSERVED:,} are allowed."
         return [Problem(f"{_OPTIONS}/observation", detail)]
     return found

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from core.environments.mjcf.inventory import Actuator, Inventory, Joint, Sensor, Sizes
+from core.environments.terms.inventory import Actuator, Inventory, Joint, Sensor, Sizes
 from core.physics.compiled.constraints.pairs import listed_geoms, touching_geoms
 from core.physics.model import initial_qpos
 

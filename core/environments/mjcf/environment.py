@@ -8,28 +8,19 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments import rewards
 from core.environments.environment import State
-from core.environments.mjcf import binding
 from core.environments.mjcf.check import problems
 from core.environments.mjcf.describe import height_of, inventory, root_of
-from core.environments.mjcf.info import MjcfOptions, metric_names
-from core.environments.mjcf.inventory import Inventory
+from core.environments.mjcf.info import MjcfOptions, metric_names, observed
 from core.environments.mjcf.model import compiled, read
-from core.environments.mjcf.step_context import ModelIndex, StepContext
-from core.environments.mjcf.vocabulary import (
-    Alive,
-    ControlCost,
-    ForwardVelocity,
-    ObservationTerm,
-    OutsideHeightRange,
-    Qpos,
-    Qvel,
-    RewardTerm,
-    TerminationTerm,
-)
 from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
-from core.environments.simulation import Noise, Simulation
+from core.environments.numbers import Noise
+from core.environments.simulation import Simulation
+from core.environments.terms.binding import bound
+from core.environments.terms.inventory import Inventory
+from core.environments.terms.rewards import Alive, AnyReward, ControlCost, ForwardVelocity
+from core.environments.terms.step import ModelIndex, Step
+from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, SolverSettings
 from core.physics.model import initial_qpos
@@ -73,22 +64,20 @@ class Mjcf(MujocoEnv):
         paid = options.reward or _default_reward()
         self._names = metric_names(paid)
         self._weights = [term.sign * term.weight for term in paid]
-        self._rewards = [binding.reward(term, named) for term in paid]
-        seen = options.observation or _default_seen()
-        self._seen = [binding.observation(term, named) for term in seen]
+        self._rewards = [bound(term, named) for term in paid]
+        seen = observed(options)
+        self._seen = [bound(term, named) for term in seen]
         start = _start(model, options)
         height = height_of(model, start, root)
         ends = _default_ends(parts, height) if options.termination is None else options.termination
-        self._ends = [binding.termination(term, named) for term in ends]
-        where, self._position = named.position(root)
-        fields = {field for one in (*self._rewards, *self._seen, *self._ends) for field in one.derived}
+        self._ends = [bound(term, named) for term in ends]
+        where = () if named.free_joint(root) is not None else ("xpos",)
+        fields = set(where).union(*(term.derived for term in (*self._rewards, *self._seen, *self._ends)))
         num_substeps = options.n_frames or max(1, round(_SECONDS_PER_ACTION / model.opt.timestep))
         accelerated = SolverSettings(
             options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
-        engine = build_engine(
-            model, num_substeps, tuple(sorted(fields | set(where))), accelerated=accelerated
-        )
+        engine = build_engine(model, num_substeps, tuple(sorted(fields)), accelerated=accelerated)
         super().__init__(model, engine, num_substeps=num_substeps, observation_size=0, tracked_body=root)
         self.initial_qpos = jnp.asarray(start, jnp.float32)
         self.initial_qvel, self.initial_act = _motion(model, options)
@@ -107,64 +96,60 @@ class Mjcf(MujocoEnv):
             normal_velocity=self._reset.velocity_distribution == "normal",
         )
         nothing = jnp.zeros(self.action_size)
-        context = StepContext(physics, physics, nothing, nothing, self.dt)
-        info = {"previous_action": nothing, "start": self._position(physics)}
-        return initial(self._after(context, info))
+        step = Step(physics, physics, nothing, nothing, self.dt, jnp)
+        info = {"previous_action": nothing, "start": self._parts.position(physics, self.tracked_body)}
+        return initial(self._after(step, info))
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
-        context = StepContext(state.physics, physics, action, state.info["previous_action"], self.dt)
-        return self._after(context, {**state.info, "previous_action": action})
+        step = Step(state.physics, physics, action, state.info["previous_action"], self.dt, jnp)
+        return self._after(step, {**state.info, "previous_action": action})
 
     def simulation(self) -> Simulation:
         reset = self._reset
         return self.simulated(
             self._spec,
-            observation=[binding.observed(term, self._parts) for term in self._observation],
+            observation=[term.numbers(self._parts) for term in self._observation],
             noise=Noise(
                 reset.position_noise, reset.velocity_noise, is_normal=reset.velocity_distribution == "normal"
             ),
-            ends=[binding.ends(term, self._parts) for term in self._termination],
+            ends=[term.ends(self._parts) for term in self._termination],
             control_range=control_range(self.model),
         )
 
-    def _after(self, context: StepContext, info: Mapping[str, jax.Array]) -> State:
-        ended = [term.measure(context) for term in self._ends]
+    def _after(self, step: Step, info: Mapping[str, jax.Array]) -> State:
+        ended = [term.measure(step) for term in self._ends]
         return self.stepped(
-            context.after,
-            self._observe(context),
+            step.after,
+            self._observe(step),
             rewards={
-                name: weight * term.measure(context)
+                name: weight * term.measure(step)
                 for name, weight, term in zip(self._names, self._weights, self._rewards, strict=True)
             },
             done=jnp.max(jnp.stack(ended)) if ended else jnp.zeros(()),
-            metrics=self._of_the_body(context, info["start"]),
+            metrics=self._of_the_body(step, info["start"]),
             info=info,
         )
 
-    def _observe(self, context: StepContext) -> jax.Array:
-        return jnp.concatenate([term.measure(context) for term in self._seen])
+    def _observe(self, step: Step) -> jax.Array:
+        return jnp.concatenate([term.measure(step) for term in self._seen])
 
-    def _of_the_body(self, context: StepContext, start: jax.Array) -> dict[str, jax.Array]:
+    def _of_the_body(self, step: Step, start: jax.Array) -> dict[str, jax.Array]:
         """The root's position and velocity: m, m/s."""
-        position = self._position(context.after)
-        velocity = rewards.velocity(self._position(context.before), position, self.dt)
+        position = self._parts.position(step.after, self.tracked_body)
+        velocity = self._parts.velocity(step, self.tracked_body)
         return {
             "x_position": position[0],
             "y_position": position[1],
             "height": position[2],
             "x_velocity": velocity[0],
             "y_velocity": velocity[1],
-            "distance_from_start": rewards.distance(position[:2], start[:2]),
+            "distance_from_start": jnp.linalg.norm(position[:2] - start[:2]),
         }
 
 
-def _default_reward() -> list[RewardTerm]:
+def _default_reward() -> list[AnyReward]:
     return [ForwardVelocity(), Alive(), ControlCost(weight=0.05)]
-
-
-def _default_seen() -> list[ObservationTerm]:
-    return [Qpos(), Qvel()]
 
 
 def _default_ends(parts: Inventory, height: float) -> Sequence[TerminationTerm]:

@@ -1,19 +1,19 @@
 """The catalog's row of a user's own model."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from core.bounds import MOST_ITEMS, Real
 from core.documents import Strict
-from core.environments.info import EnvironmentInfo
-from core.environments.mjcf.vocabulary import (
-    Name,
-    ObservationTerm,
-    Reset,
-    RewardTerm,
-    Sensors,
-    TerminationTerm,
-)
+from core.environments.info import EnvironmentInfo, Spaces, in_order, named
+from core.environments.options import NoiseScale
+from core.environments.terms.inventory import Inventory
+from core.environments.terms.observations import AnyObservation, ObservationTerm, Qpos, Qvel, Sensors
+from core.environments.terms.rewards import AnyReward
+from core.environments.terms.term import Name
+from core.environments.terms.terminations import AnyTermination
 from core.physics.availability import BodySize, Rule
 
 # Seconds per physics step.
@@ -22,6 +22,30 @@ SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1
 ModelId = Annotated[
     str, Field(pattern=r"^sha256:[0-9a-f]{64}$", description="The id that `POST /models` returned.")
 ]
+
+
+class Reset(Strict):
+    """How an episode begins; by default in the model's initial state with a little noise."""
+
+    keyframe: Name | Annotated[int, Field(ge=0, le=MOST_ITEMS)] | None = Field(
+        default=None,
+        description="By name or number: its positions, velocities and states of actuators. null: the "
+        "model's custom numeric `init_qpos`, or else `qpos0`.",
+    )
+    qpos: Annotated[list[Real], Field(min_length=1, max_length=MOST_ITEMS)] | None = Field(
+        default=None, description="Initial positions, in MuJoCo's order."
+    )
+    position_noise: NoiseScale = Field(default=0.01, description="Uniform in ± this: m, rad.")
+    velocity_noise: NoiseScale = Field(default=0.01, description="See velocity_distribution: m/s, rad/s.")
+    velocity_distribution: Literal["uniform", "normal"] = Field(
+        default="uniform", description="Uniform in ± velocity_noise, or normal with that standard deviation."
+    )
+
+    @model_validator(mode="after")
+    def _begins_once(self) -> Self:
+        if self.keyframe is not None and self.qpos is not None:
+            raise ValueError("give either keyframe or qpos")
+        return self
 
 
 class MjcfOptions(Strict):
@@ -33,14 +57,14 @@ class MjcfOptions(Strict):
         description="Body of the terms that name no body; null: the first body that can travel, of those "
         "with actuators.",
     )
-    reward: Annotated[list[RewardTerm], Field(min_length=1, max_length=64)] | None = Field(
+    reward: Annotated[list[AnyReward], Field(min_length=1, max_length=64)] | None = Field(
         default=None,
         description="Terms to sum; null: forward_velocity, alive, and control_cost of weight 0.05.",
     )
-    observation: Annotated[list[ObservationTerm], Field(min_length=1, max_length=64)] | None = Field(
+    observation: Annotated[list[AnyObservation], Field(min_length=1, max_length=64)] | None = Field(
         default=None, description="Terms to concatenate, in this order; null: qpos and qvel."
     )
-    termination: Annotated[list[TerminationTerm], Field(max_length=64)] | None = Field(
+    termination: Annotated[list[AnyTermination], Field(max_length=64)] | None = Field(
         default=None,
         description="Terms, any of which ends the episode; null: for a body that can travel, height_range "
         "from 0.4 to 2 times its initial height.",
@@ -90,9 +114,26 @@ class MjcfOptions(Strict):
         return [name for term in terms for name in term.names or []]
 
 
-def metric_names(terms: list[RewardTerm]) -> list[str]:
+def metric_names(terms: Sequence[AnyReward]) -> list[str]:
     """The metric of each term: `reward_`, then its name or its kind."""
     return [f"reward_{term.name or term.kind}" for term in terms]
+
+
+def mjcf_slices(options: MjcfOptions, model: Inventory) -> Spaces:
+    """The numbers of the observation and of the action. model: the parts of the model of the options."""
+    root = options.root or model.root
+    seen = [part for term in observed(options) for part in term.slices(model, root)]
+    acts = [
+        # Without a range, an action is the control itself.
+        named(name, (name,), None, *(actuator.control_range or (-1.0, 1.0)))
+        for name, actuator in zip(model.acting, model.actuators, strict=True)
+    ]
+    return Spaces(in_order(seen), in_order(acts))
+
+
+def observed(options: MjcfOptions) -> Sequence[ObservationTerm]:
+    """The terms of the observation."""
+    return options.observation or [Qpos(), Qvel()]
 
 
 INFO = EnvironmentInfo(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from core.environments import catalog
 from core.environments.mujoco_env import MujocoEnv
-from core.environments.simulation import (
+from core.environments.numbers import (
     NUM_AHEAD,
     OBSTACLES_AHEAD,
     PREVIOUS_ACTION,
@@ -21,9 +21,8 @@ from core.environments.simulation import (
     Ends,
     NotSimulated,
     Numbers,
-    Simulation,
-    as_xml,
 )
+from core.environments.simulation import Simulation, as_xml
 from core.physics.choose import engine_builder
 from tests.extra import extra
 

@@ -8,7 +8,7 @@ import pytest
 from core.algorithms.catalog import ALGORITHMS
 from core.environments import catalog
 from core.environments.mjcf.info import MjcfOptions
-from core.environments.mjcf.inventory import Sensor
+from core.environments.terms.inventory import Sensor
 from core.errors import Rejected
 from core.jobs.checks import check
 from core.jobs.job import Attempt, Job

@@ -21,16 +21,8 @@ from core.environments.dm_control.corridor.options import in_order, values
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
-from core.environments.simulation import (
-    OBSTACLES_AHEAD,
-    Ends,
-    Noise,
-    NotSimulated,
-    Numbers,
-    Simulation,
-    numbers,
-    rows,
-)
+from core.environments.numbers import OBSTACLES_AHEAD, Ends, Noise, NotSimulated, Numbers, numbers, rows
+from core.environments.simulation import Simulation
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 

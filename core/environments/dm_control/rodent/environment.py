@@ -11,7 +11,8 @@ from core.environments.dm_control.rodent.info import RodentOptions
 from core.environments.dm_control.rodent.model import rodent_model, rodent_spec
 from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
-from core.environments.simulation import Ends, Noise, Simulation, numbers, rows
+from core.environments.numbers import Ends, Noise, numbers, rows
+from core.environments.simulation import Simulation
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 _DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")

@@ -12,7 +12,7 @@ from core.environments import catalog
 from core.environments.mjcf.check import problems
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.info import MjcfOptions
-from core.environments.mjcf.inventory import Inventory
+from core.environments.terms.inventory import Inventory
 from core.errors import Rejected
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from tests.models import identity

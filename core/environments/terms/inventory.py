@@ -76,6 +76,11 @@ class Inventory(Stored):
         """None if it is not known."""
         return None if self.num_pairs is None else BodySize(self.sizes.nv, self.num_pairs)
 
+    @property
+    def acting(self) -> list[str]:
+        """The actuators' names; by number where they have none."""
+        return [actuator.name or f"actuator {number}" for number, actuator in enumerate(self.actuators)]
+
     def names(self, kind: Kind) -> list[str]:
         """The names of a kind of parts; only of joints that have a range."""
         match kind:

@@ -1,0 +1,271 @@
+"""The terms of an observation: which numbers each yields, by name and unit, and where they are."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from core.environments import bodies
+from core.environments.bodies import CINERT, CVEL, Body, JointType
+from core.environments.info import Slice, named
+from core.environments.numbers import PREVIOUS_ACTION, Numbers, numbers, rows
+from core.environments.terms.inventory import Inventory, Sensor
+from core.environments.terms.term import Array, Names, OfBodies, Term
+
+if TYPE_CHECKING:
+    from core.environments.terms.step import ModelIndex, Step
+
+# By MuJoCo's type of a sensor; where the unit depends on the part that it reads, it is not known here.
+_UNITS = {
+    "touch": "N",
+    "accelerometer": "m/s²",
+    "velocimeter": "m/s",
+    "gyro": "rad/s",
+    "force": "N",
+    "torque": "N m",
+    "rangefinder": "m",
+    "ballquat": "1",
+    "ballangvel": "rad/s",
+    "framepos": "m",
+    "framequat": "1",
+    "framexaxis": "1",
+    "frameyaxis": "1",
+    "framezaxis": "1",
+    "framelinvel": "m/s",
+    "frameangvel": "rad/s",
+    "framelinacc": "m/s²",
+    "frameangacc": "rad/s²",
+    "subtreecom": "m",
+    "subtreelinvel": "m/s",
+    "subtreeangmom": "kg m²/s",
+    "clock": "s",
+}
+_AXES = ("x", "y", "z")
+_MATRIX = tuple(f"{row}{column}" for row in _AXES for column in _AXES)
+# Fields of the physics that it always has; others are derived.
+_OF_A_STATE = ("qpos", "qvel", "act")
+
+
+class ObservationTerm(Term):
+    """Numbers of MuJoCo's own arrays. The parts that it names are in the model."""
+
+    def size(self, model: Inventory) -> int:
+        """How many numbers it has at most, counted without naming each."""
+        raise NotImplementedError
+
+    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
+        """Its numbers by name and unit. root: the body of the terms that name none."""
+        raise NotImplementedError
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        """Where they are in MuJoCo's arrays."""
+        raise NotImplementedError
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        seen = self.numbers(model)
+        if seen.array == PREVIOUS_ACTION:
+            return step.action
+        after = step.after
+        values = getattr(after, seen.array) if seen.array in _OF_A_STATE else after.derived[seen.array]
+        chosen = values.ravel()[step.places(seen.places)]
+        return chosen - values.ravel()[step.places(seen.less)] if seen.less else chosen
+
+
+class _BodyNumbers(OfBodies, ObservationTerm):
+    """Rows of an array that has one for each body."""
+
+    array: ClassVar[str]
+    parts: ClassVar[Sequence[str]]
+    unit: ClassVar[str]
+
+    def size(self, model: Inventory) -> int:
+        number = model.sizes.nbody if self.bodies is None else len(self.bodies)
+        return number * len(self.parts)
+
+    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
+        number = model.sizes.nbody - 1
+        name: str = getattr(self, "kind")  # noqa: B009 Each of these classes has one.
+        all_named = [body for body in model.bodies if body != "world"]
+        if self.bodies is None and len(all_named) != number:  # One has no name.
+            yield Slice(name, 0, number * len(self.parts), self.unit)
+        else:
+            yield bodies.rows(name, self.bodies or all_named, self.parts, self.unit)
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        return rows(self.array, model.bodies(self.bodies).tolist(), len(self.parts))
+
+
+class Qpos(ObservationTerm):
+    """Positions of all joints, in MuJoCo's order: m, rad, quaternions w x y z."""
+
+    kind: Literal["qpos"] = "qpos"
+    root_position: Literal["all", "height", "none"] | None = Field(
+        default=None,
+        description="Which of x, y and z of the root's free joint to include; null: the height. A model "
+        "without a free joint keeps all positions.",
+    )
+
+    def size(self, model: Inventory) -> int:
+        return model.sizes.nq
+
+    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
+        return bodies.qpos(_joints(model), self._hidden(model, root))
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        return numbers("qpos", model.visible_positions(self._num_hidden))
+
+    @property
+    def _num_hidden(self) -> int:
+        """How many of the root's x, y and z are left out."""
+        return {"all": 0, "none": 3}.get(self.root_position or "", 2)
+
+    def _hidden(self, model: Inventory, root: str) -> range:
+        free = [joint for joint in model.joints if joint.type == "free" and joint.body == root]
+        start = free[0].qpos_start if free else 0
+        return range(start, start + self._num_hidden) if free else range(0)
+
+
+class Qvel(ObservationTerm):
+    """Velocities of all joints, in MuJoCo's order: m/s, rad/s."""
+
+    kind: Literal["qvel"] = "qvel"
+
+    def size(self, model: Inventory) -> int:
+        return model.sizes.nv
+
+    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
+        return bodies.qvel(_joints(model))
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        return numbers("qvel", range(model.model.nv))
+
+
+class PreviousAction(ObservationTerm):
+    """The previous action; zeros at the start of an episode."""
+
+    kind: Literal["previous_action"] = "previous_action"
+
+    def size(self, model: Inventory) -> int:
+        return model.sizes.nu
+
+    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
+        yield named("previous_action", model.acting, "1", -1.0, 1.0)
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        return numbers(PREVIOUS_ACTION, range(model.model.nu))
+
+
+class Activation(ObservationTerm):
+    """The states of actuators that have one."""
+
+    kind: Literal["act"] = "act"
+
+    def size(self, model: Inventory) -> int:
+        return model.sizes.na
+
+    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
+        yield Slice("act", 0, model.sizes.na)
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        return numbers("act", range(model.model.na))
+
+
+class Sensors(ObservationTerm):
+    """The model's sensors; those of forces and accelerations are read at the last physics step."""
+
+    kind: Literal["sensors"] = "sensors"
+    names: Names | None = Field(default=None, description="The sensors, in this order; null: all.")
+
+    def size(self, model: Inventory) -> int:
+        return sum(sensor.size for sensor in self._sensors(model))
+
+    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
+        for sensor in self._sensors(model):
+            name = sensor.name or sensor.type
+            parts = [name] if sensor.size == 1 else [f"{name} {number}" for number in range(sensor.size)]
+            yield named("sensors", parts, _UNITS.get(sensor.type))
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        return numbers("sensordata", model.sensors(self.names))
+
+    def _sensors(self, model: Inventory) -> Sequence[Sensor]:
+        if self.names is None:
+            return model.sensors
+        by_name = {sensor.name: sensor for sensor in model.sensors}
+        return [by_name[name] for name in self.names]
+
+
+class BodyPositions(_BodyNumbers):
+    """Positions of bodies in the world, in metres."""
+
+    array, parts, unit = "xpos", _AXES, "m"
+
+    kind: Literal["body_positions"] = "body_positions"
+    relative: bool = Field(default=False, description="Relative to the root, along the world's axes.")
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        seen = super().numbers(model)
+        less = [3 * model.root + axis for axis in range(3)] * (len(seen.places) // 3)
+        return replace(seen, less=less) if self.relative else seen
+
+
+class BodyOrientations(_BodyNumbers):
+    """Rotation matrices of bodies, row by row."""
+
+    array, parts, unit = "xmat", _MATRIX, "1"
+
+    kind: Literal["body_orientations"] = "body_orientations"
+
+
+class Cvel(_BodyNumbers):
+    """Velocities of bodies: angular in rad/s, then linear in m/s at the centre of mass of their tree."""
+
+    array, parts, unit = "cvel", CVEL, "rad/s, m/s"
+
+    kind: Literal["cvel"] = "cvel"
+
+
+class Cinert(_BodyNumbers):
+    """Inertias of bodies about the centre of mass of their tree, in kg m², kg m and kg."""
+
+    array, parts, unit = "cinert", CINERT, "kg m², kg m, kg"
+
+    kind: Literal["cinert"] = "cinert"
+
+
+class ActuatorForces(ObservationTerm):
+    """The actuators' forces on each degree of freedom in the last physics step, in N or N m."""
+
+    kind: Literal["qfrc_actuator"] = "qfrc_actuator"
+
+    def size(self, model: Inventory) -> int:
+        return model.sizes.nv
+
+    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
+        return bodies.qfrc_actuator(_joints(model))
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        return numbers("qfrc_actuator", range(model.model.nv))
+
+
+AnyObservation = Annotated[
+    Qpos
+    | Qvel
+    | PreviousAction
+    | Activation
+    | Sensors
+    | BodyPositions
+    | BodyOrientations
+    | Cvel
+    | Cinert
+    | ActuatorForces,
+    Field(discriminator="kind"),
+]
+
+
+def _joints(model: Inventory) -> Body:
+    kinds: dict[str, JointType] = {
+        joint.name or f"{joint.body} joint {number}": joint.type for number, joint in enumerate(model.joints)
+    }
+    return Body(kinds, {})

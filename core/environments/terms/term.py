@@ -1,0 +1,101 @@
+"""The base of a task's terms, and the kinds of their fields.
+
+A term is one class: its fields with bounds and units, and its formula. It imports no numerical code, since
+the API reads it; its formula uses the array library of the step that it gets, `step.xp`: JAX while a policy
+trains, NumPy beside MuJoCo's own data. Which fields of the physics it reads is found by evaluating it once
+(`binding.bound`).
+"""
+
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from pydantic import AfterValidator, Field
+
+from core.bounds import LONGEST_NAME, Real
+from core.documents import Strict
+from core.environments.options import Range, Weight
+
+if TYPE_CHECKING:
+    from core.environments.terms.step import ModelIndex, Step
+
+# An array of `step.xp`.
+Array = Any
+Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]
+Names = Annotated[list[Name], Field(min_length=1, max_length=1000)]
+Vector = Annotated[tuple[Real, Real, Real], Field(strict=False)]
+
+
+def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(vector):
+        raise ValueError("must not be [0, 0, 0]")
+    return vector
+
+
+Direction = Annotated[Vector, AfterValidator(_not_zero)]
+
+
+class Term(Strict):
+    """A part of an observation, of a reward, or of what ends an episode."""
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        """The term's value after a step: [], or [n] of an observation."""
+        raise NotImplementedError
+
+
+class RewardTerm(Term):
+    """weight: multiplies the term. name: its metric is `reward_<name>`; null: its kind."""
+
+    sign: ClassVar[float] = 1.0
+
+    weight: Weight = 1.0
+    name: Annotated[str, Field(pattern=r"^[a-z0-9_]{1,60}$")] | None = None
+
+
+class CostTerm(RewardTerm):
+    """A term that is subtracted where its weight is positive."""
+
+    sign: ClassVar[float] = -1.0
+
+
+class OfBody(Strict):
+    body: Name | None = Field(default=None, description="The body's name; null: the root.")
+
+
+class OfBodies(Strict):
+    bodies: Names | None = Field(default=None, description="The bodies' names; null: all but the world.")
+
+
+class OfAxis(OfBody):
+    axis: Direction = Field(default=(0.0, 0.0, 1.0), description="An axis in the body's own frame.")
+
+    def cosine(self, step: "Step", model: "ModelIndex") -> Array:
+        """(R a)_z, the cosine of the axis' angle to the vertical, []."""
+        rotation = step.after.derived["xmat"][model.body(self.body)].reshape(3, 3)
+        return step.xp.dot(rotation[2], unit_vector(self.axis, step))
+
+
+class OfHeight(OfBody):
+    range: Range = Field(description="[lowest, highest] in metres above the world's origin.")
+
+    def is_inside(self, step: "Step", model: "ModelIndex") -> Array:
+        """1 where the body's height is in the range, otherwise 0; 1 also for NaN. []."""
+        low, high = self.range
+        height = model.position(step.after, model.body(self.body))[2]
+        return step.xp.where((height < low) | (height > high), 0.0, 1.0)
+
+
+class OfContact(Strict):
+    geoms: Names = Field(description="The geoms' names.")
+    against: Name | None = Field(
+        default=None, description="Count only contacts with this geom; null: with any."
+    )
+
+    def num_touching(self, step: "Step", model: "ModelIndex") -> Array:
+        """How many of the geoms touch something, []."""
+        found = step.after.derived["sensordata"][model.contacts(self.geoms, self.against)]
+        return step.xp.sum(step.xp.where(found > 0, 1.0, 0.0))
+
+
+def unit_vector(vector: tuple[float, float, float], step: "Step") -> Array:
+    """Of length 1, [3]."""
+    length = sum(part**2 for part in vector) ** 0.5
+    return step.array([part / length for part in vector])
