@@ -69,6 +69,7 @@ RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
     --extra worker --extra compiled --extra sweeps \
     --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli \
+    --group robots \
     && /usr/local/bin/slim
 
 FROM dependencies AS dependencies-worker-cuda
@@ -76,6 +77,7 @@ RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
     --extra worker --extra compiled --extra cuda --extra warp \
     --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli \
+    --group robots \
     && /usr/local/bin/slim
 
 # Apart from the dependencies, so that a change of code makes this small layer anew and nothing else.

@@ -13,7 +13,7 @@ from core.documents import Stored
 from core.environments import catalog
 from core.environments.info import Device
 from core.errors import GaitwayError
-from core.installation import to_install
+from core.installation import to_install, to_install_robots
 from core.jobs.job import Job
 from core.jobs.queue import queue_of
 from core.jobs.resolved import resolve_job
@@ -104,6 +104,8 @@ def packages_here() -> tuple[str, ...]:
 
 def how_to_install(package: str) -> str:
     """The command that installs an optional package, or only its name. package: its import name."""
+    if package == "mjlab":
+        return to_install_robots()
     extra = _EXTRAS.get(package)
     return f"the Python package {package}" if extra is None else to_install(extra)
 

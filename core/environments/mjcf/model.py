@@ -50,7 +50,7 @@ def read(file: Path) -> Generator[tuple[mujoco.MjSpec, str]]:
         spec.nconmax = spec.njmax = -1
         if archive.is_urdf:
             _add_motors(spec)
-        _name_parts(spec)
+        name_parts(spec)
         yield spec, archive.main
 
 
@@ -83,7 +83,7 @@ def is_to_sleep(spec: mujoco.MjSpec) -> bool:
     return bool(spec.option.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
-def _name_parts(spec: mujoco.MjSpec) -> None:
+def name_parts(spec: mujoco.MjSpec) -> None:
     """Name bodies, joints and geoms that have no name, so that terms and randomization can name them.
 
     Joints and geoms are called by their body: `trunk free`, `trunk geom`, `trunk geom 2`.

@@ -1,0 +1,135 @@
+"""Changes of a model before it is compiled: servos, contacts, shapes, floor, pose; no numerical code."""
+
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+from pydantic_core import SchemaError, SchemaValidator, core_schema
+
+from core.bounds import LONGEST_NAME, MOST_MEMBERS, Real
+from core.documents import Strict
+
+
+@lru_cache(maxsize=256)
+def _matcher(pattern: str) -> SchemaValidator:
+    """Rust's regular expressions, as pydantic has them: their time grows with the name alone, whatever the
+    pattern. Raises SchemaError."""
+    return SchemaValidator(core_schema.str_schema(pattern=pattern, regex_engine="rust-regex"))
+
+
+def _is_regular(pattern: str) -> str:
+    if "{" in pattern:
+        raise ValueError("a pattern cannot count repetitions: write `..` for `.{2}`")
+    try:
+        _matcher(pattern)
+        _matcher(f"^(?:{pattern})$")
+    except SchemaError as error:
+        why = str(error).strip().splitlines()[-1].removeprefix("error: ")
+        raise ValueError(
+            f"{pattern[:40]!r} is no regular expression ({why}); there is no look-ahead, look-behind or "
+            "back-reference"
+        ) from None
+    return pattern
+
+
+Pattern = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME), AfterValidator(_is_regular)]
+Patterns = Annotated[list[Pattern], Field(min_length=1, max_length=MOST_MEMBERS)]
+PATTERNS = "Each is a name, or a regular expression that matches whole names."
+
+
+def matches(pattern: str, name: str) -> bool:
+    """Whether a valid pattern is the name, or matches all of it."""
+    return pattern == name or _matcher(f"^(?:{pattern})$").isinstance_python(name)
+
+
+def matching(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
+    """The names that some pattern matches, in their own order. Parts without a name are never matched."""
+    several = list(patterns)
+    return [name for name in names if name and any(matches(pattern, name) for pattern in several)]
+
+
+class Servo(Strict):
+    """A position servo on each of some joints: force = kp · (target - position) - kd · velocity, within
+    ± effort. It takes the place of the joint's actuators; the control is the target, without a range.
+
+    The units are those of a hinge; for a slide read N, m and kg.
+    """
+
+    joints: Patterns = Field(description=f"Hinges and slides. {PATTERNS}")
+    kp: float = Field(gt=0, le=1e6, description="Stiffness, N m/rad.")
+    kd: float = Field(ge=0, le=1e5, description="Damping, N m s/rad.")
+    effort: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Greatest torque, N m; null: that of the joint's actuator in the model, if it has one.",
+    )
+    velocity_limit: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e4,
+        description="Greatest speed of the motor, rad/s, for terms that read it; no engine enforces it.",
+    )
+    armature: float | None = Field(
+        default=None, ge=0, le=1e3, description="Inertia of the rotor at the joint, kg m²; null: the model's."
+    )
+    friction_loss: float | None = Field(
+        default=None, ge=0, le=1e4, description="Dry friction, N m; null: the model's."
+    )
+    damping: float | None = Field(
+        default=None, ge=0, le=1e5, description="The joint's own, N m s/rad; null: the model's."
+    )
+
+
+class Fit(Strict):
+    """Colliding meshes that a simple shape replaces, fitted to each mesh's bounding box; what is drawn, and
+    masses and inertias, stay."""
+
+    geoms: Patterns = Field(default=[".*"], description=f"Geoms; those that are meshes count. {PATTERNS}")
+    shape: Literal["box", "capsule", "cylinder", "ellipsoid", "sphere"] = "box"
+
+
+class Pose(Strict):
+    """Where an episode begins and what actions are about; kept as the model's keyframe `home`."""
+
+    joints: Annotated[dict[Pattern, Real], Field(max_length=MOST_MEMBERS)] = Field(
+        default={}, description=f"Positions, rad or m; the others keep the model's own. {PATTERNS}"
+    )
+    height: Real | None = Field(
+        default=None,
+        description="Of the root above the world's origin, m; null: the lowest point that can touch the "
+        "floor rests on it.",
+    )
+
+
+Collide = Literal["declared", "feet", "floor"] | Patterns
+
+
+class ModelEdits(Strict):
+    """Changes of a model before it is compiled, in this order."""
+
+    floor: bool = Field(
+        default=False, description="Add a plane at height 0, if nothing of the world can be touched."
+    )
+    primitives: list[Fit] = Field(
+        default=[],
+        max_length=MOST_MEMBERS,
+        description="Meshes to replace; the first that names a geom counts.",
+    )
+    feet: Patterns | None = Field(default=None, description=f"The feet's bodies. {PATTERNS}")
+    collide: Collide = Field(
+        default="declared",
+        description="declared: as in the model. feet: only the geoms of the feet's bodies, with the world. "
+        "floor: all that collide in the model, but with the world alone and not with each other. Or geoms, "
+        f"which collide with the world alone. {PATTERNS}",
+    )
+    friction: float | None = Field(
+        default=None,
+        ge=0.01,
+        le=10,
+        description="Sliding friction of the moving geoms that collide, whatever they touch; null: the "
+        "larger one of both geoms in the model.",
+    )
+    servos: list[Servo] = Field(default=[], max_length=MOST_MEMBERS, description="Position servos on joints.")
+    pose: Pose | None = Field(default=None, description="null: as the model's file has it.")

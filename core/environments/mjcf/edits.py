@@ -1,0 +1,325 @@
+"""Changes of a specification before it is compiled, as `edit_options` describes them."""
+
+import copy
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from core.environments.mjcf.edit_options import (
+    Collide,
+    Fit,
+    ModelEdits,
+    Patterns,
+    Pose,
+    Servo,
+    matches,
+    matching,
+)
+from core.environments.mjcf.model import name_parts
+from core.physics.model import initial_qpos
+
+HOME = "home"
+_DRIVEN = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+_ON_A_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+_ACTUATOR_SENSORS = (
+    mujoco.mjtSensor.mjSENS_ACTUATORPOS,
+    mujoco.mjtSensor.mjSENS_ACTUATORVEL,
+    mujoco.mjtSensor.mjSENS_ACTUATORFRC,
+)
+_SHAPES = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+}
+# Viewers draw the groups 0 to 2, and hide what is there for contacts alone.
+_GROUP_OF_CONTACTS = 3
+_SLIDING = 0
+_FAR = 100.0
+_WITH_FRICTION = 3
+
+
+def edit(spec: mujoco.MjSpec, edits: ModelEdits) -> None:
+    """Change the specification. What a pattern names that is not there is left out: see `edit_check`.
+
+    Raises ValueError, with MuJoCo's own message, if the model does not compile where that is needed.
+    """
+    name_parts(spec)
+    if edits.floor:
+        add_floor(spec)
+    fit_primitives(spec, edits.primitives)
+    collide(spec, edits.collide, edits.feet or [])
+    if edits.friction is not None:
+        set_friction(spec, edits.friction)
+    add_servos(spec, edits.servos)
+    if edits.pose is not None:
+        add_pose(spec, edits.pose)
+
+
+# ---- what can touch ------------------------------------------------------------------------------
+
+
+def add_floor(spec: mujoco.MjSpec) -> None:
+    """Add a plane at height 0 if nothing of the world can be touched."""
+    if any(_can_touch(geom) for geom in spec.geoms if _is_fixed(geom.parent)):
+        return
+    names = {geom.name for geom in spec.geoms}
+    spec.worldbody.add_geom(
+        name=next(name for name in ("floor", "floor 2", "floor 3") if name not in names),
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 0.05],
+        rgba=[0.8, 0.85, 0.9, 1],
+    )
+
+
+def collide(spec: mujoco.MjSpec, wanted: Collide, feet: Patterns) -> None:
+    """Let the moving geoms that are wanted touch all of the world that can be touched, and nothing else touch
+    anything. A `<pair>` of such a geom with one of the world stays, with its parameters; other pairs go.
+
+    feet: patterns of the feet's bodies. Geoms of bodies that are welded to a foot are the foot's.
+    """
+    if wanted == "declared":
+        return
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    of_feet = set(matching(feet, (body.name for body in spec.bodies)))
+    fixed, chosen = set[str](), set[str]()
+    for geom in spec.geoms:
+        touches = _can_touch(geom) or geom.name in paired
+        if _is_fixed(geom.parent):
+            fixed.add(geom.name)
+            geom.contype, geom.conaffinity = int(_can_touch(geom)), 0
+            continue
+        if wanted == "feet":
+            is_chosen = touches and _is_part_of(geom.parent, of_feet)
+        elif wanted == "floor":
+            is_chosen = touches
+        else:
+            is_chosen = bool(matching(wanted, [geom.name]))
+        if is_chosen:
+            chosen.add(geom.name)
+        # What touches by pairs alone goes on so.
+        has_mask = _can_touch(geom) or geom.name not in paired
+        geom.contype, geom.conaffinity = 0, int(is_chosen and has_mask)
+    for pair in list(spec.pairs):
+        both = {pair.geomname1, pair.geomname2}
+        if not (both & fixed and both & chosen):
+            spec.delete(pair)
+
+
+def set_friction(spec: mujoco.MjSpec, friction: float) -> None:
+    """Give moving geoms that can touch something this sliding friction, before that of what they touch."""
+    for geom in spec.geoms:
+        if _can_touch(geom) and not _is_fixed(geom.parent):
+            geom.friction[_SLIDING] = friction
+            geom.condim = max(geom.condim, _WITH_FRICTION)
+            geom.priority = max(geom.priority, 1)
+
+
+def fit_primitives(spec: mujoco.MjSpec, fits: Sequence[Fit]) -> None:
+    """Replace colliding meshes by shapes fitted to their bounding boxes. A mesh that is also drawn stays as a
+    geom that only is drawn, and bodies keep their masses and inertias."""
+    meshes = [
+        (geom, fit.shape)
+        for geom in spec.geoms
+        if geom.type == mujoco.mjtGeom.mjGEOM_MESH and _can_touch(geom)
+        for fit in fits
+        if any(matches(pattern, geom.name) for pattern in fit.geoms)
+    ]
+    if not meshes:
+        return
+    _keep_inertias(spec)
+    spec.compiler.fitaabb = True
+    replaced = set[str]()
+    for geom, shape in meshes:
+        if geom.name in replaced:
+            continue
+        replaced.add(geom.name)
+        if geom.group < _GROUP_OF_CONTACTS:
+            _add_drawing(geom)
+        geom.type, geom.group = _SHAPES[shape], _GROUP_OF_CONTACTS
+
+
+def _add_drawing(geom: Any) -> None:
+    """A geom beside this mesh that is drawn like it, and neither touches nor weighs anything."""
+    drawn = geom.parent.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=geom.meshname,
+        pos=geom.pos,
+        quat=geom.quat,
+        material=geom.material,
+        rgba=geom.rgba,
+        group=geom.group,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+    )
+    drawn.alt = geom.alt
+
+
+def _keep_inertias(spec: mujoco.MjSpec) -> None:
+    """Write the masses and inertias that follow from geoms into their bodies."""
+    model = spec.compile()
+    for body in spec.bodies[1:]:
+        if body.explicitinertial and spec.compiler.inertiafromgeom != 1:
+            continue
+        compiled = model.body(body.id)
+        body.mass, body.ipos, body.iquat = float(compiled.mass[0]), compiled.ipos, compiled.iquat
+        body.inertia, body.explicitinertial = compiled.inertia, True
+    spec.compiler.inertiafromgeom = 0
+
+
+def _is_part_of(body: Any, names: set[str]) -> bool:
+    """Whether the body, or one that it is welded to, has such a name."""
+    while body.name not in names:
+        if body.joints or body.parent is None:
+            return False
+        body = body.parent
+    return True
+
+
+def _can_touch(geom: Any) -> bool:
+    return bool(geom.contype or geom.conaffinity)
+
+
+def _is_fixed(body: Any) -> bool:
+    """Whether the body is the world's or welded to it."""
+    while body.parent is not None:
+        if body.joints:
+            return False
+        body = body.parent
+    return True
+
+
+# ---- what drives it ------------------------------------------------------------------------------
+
+
+def add_servos(spec: mujoco.MjSpec, servos: Sequence[Servo]) -> None:
+    """Turn the first actuator of each joint that a servo names into it, add one where there is none, and
+    remove the joint's further actuators with their sensors. Keyframes lose their controls."""
+    if not servos:
+        return
+    actuators = defaultdict[str, list[Any]](list)
+    for actuator in spec.actuators:
+        if actuator.trntype in _ON_A_JOINT:
+            actuators[actuator.target].append(actuator)
+    taken = {actuator.name for actuator in spec.actuators}
+    for joint in spec.joints:
+        servo = next((servo for servo in servos if _drives(servo, joint)), None)
+        if servo is not None:
+            first, *others = actuators[joint.name] or [_added(spec, joint.name, taken)]
+            for actuator in others:
+                _remove(spec, actuator)
+            _become_servo(first, joint, servo)
+            _load(joint, servo)
+    for key in spec.keys:
+        key.ctrl, key.act = [], []
+
+
+def _drives(servo: Servo, joint: Any) -> bool:
+    return joint.type in _DRIVEN and bool(matching(servo.joints, [joint.name]))
+
+
+def _added(spec: mujoco.MjSpec, joint: str, taken: set[str]) -> Any:
+    name = joint if joint not in taken else f"{joint} servo"
+    return spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+
+
+def _become_servo(actuator: Any, joint: Any, servo: Servo) -> None:
+    effort = servo.effort or effort_of(actuator, joint)
+    actuator.set_to_position(kp=servo.kp, kv=servo.kd)
+    actuator.trntype, actuator.gear = mujoco.mjtTrn.mjTRN_JOINT, [1, 0, 0, 0, 0, 0]
+    actuator.ctrllimited, actuator.ctrlrange, actuator.inheritrange = False, [0, 0], 0
+    actuator.actlimited, actuator.actrange = False, [0, 0]
+    actuator.forcelimited = effort is not None
+    actuator.forcerange = [-effort, effort] if effort is not None else [0, 0]
+
+
+def _load(joint: Any, servo: Servo) -> None:
+    """Give the joint what the motor brings."""
+    if servo.armature is not None:
+        joint.armature = servo.armature
+    if servo.friction_loss is not None:
+        joint.frictionloss = servo.friction_loss
+    if servo.damping is not None:
+        joint.damping = [servo.damping, 0, 0]
+
+
+def effort_of(actuator: Any, joint: Any) -> float | None:
+    """The greatest torque of the actuator at its joint before it becomes a servo, N m; None: no limit."""
+    gear, limits = abs(actuator.gear[0]), list[float]()
+    if actuator.forcerange[1] > actuator.forcerange[0]:
+        limits.append(gear * max(abs(actuator.forcerange)))
+    is_motor = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and (
+        actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+    )
+    if is_motor and actuator.ctrlrange[1] > actuator.ctrlrange[0]:
+        limits.append(gear * abs(actuator.gainprm[0]) * max(abs(actuator.ctrlrange)))
+    if joint.actfrcrange[1] > joint.actfrcrange[0]:
+        limits.append(max(abs(joint.actfrcrange)))
+    return min(limits, default=None)
+
+
+def _remove(spec: mujoco.MjSpec, actuator: Any) -> None:
+    for sensor in list(spec.sensors):
+        if sensor.type in _ACTUATOR_SENSORS and sensor.objname == actuator.name:
+            spec.delete(sensor)
+    spec.delete(actuator)
+
+
+# ---- where it stands -----------------------------------------------------------------------------
+
+
+def add_pose(spec: mujoco.MjSpec, pose: Pose) -> None:
+    """Make the pose the keyframe `home`, in place of one of that name. Its controls hold it by servos."""
+    for key in [key for key in spec.keys if key.name == HOME]:
+        spec.delete(key)
+    model = spec.compile()
+    qpos = posed(model, pose)
+    targets = [_target(model, number, qpos) for number in range(model.nu)]
+    spec.add_key(name=HOME, qpos=qpos, ctrl=targets)
+
+
+def _target(model: mujoco.MjModel, actuator: int, qpos: np.ndarray) -> float:
+    on_a_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+    is_servo = model.actuator_biasprm[actuator, 1] != 0
+    return (
+        float(qpos[model.jnt_qposadr[model.actuator_trnid[actuator, 0]]]) if on_a_joint and is_servo else 0.0
+    )
+
+
+def posed(model: mujoco.MjModel, pose: Pose) -> np.ndarray:
+    """Positions [nq] in this pose."""
+    qpos = initial_qpos(model)
+    for number in range(model.njnt):
+        joint = model.joint(number)
+        value = next((value for name, value in pose.joints.items() if matches(name, joint.name)), None)
+        if value is not None and mujoco.mjtJoint(int(model.jnt_type[number])) in _DRIVEN:
+            qpos[model.jnt_qposadr[number]] = value
+    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+    if free.size:
+        height = int(model.jnt_qposadr[free[0]]) + 2
+        if pose.height is None:
+            qpos[height] -= clearance(model, qpos) or 0.0
+        else:
+            qpos[height] = pose.height
+    return qpos
+
+
+def clearance(model: mujoco.MjModel, qpos: np.ndarray) -> float | None:
+    """The least distance in m of moving geoms from what they can touch of the world, below 0 where they are
+    in it; None if they can touch nothing of it."""
+    near, data = copy.copy(model), mujoco.MjData(model)
+    for margins in (near.geom_margin, near.body_margin, near.pair_margin):
+        margins[:] = _FAR
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(near, data)
+    mujoco.mj_comPos(near, data)
+    mujoco.mj_collision(near, data)
+    is_fixed = model.body_weldid[model.geom_bodyid] == 0
+    return min(
+        (float(contact.dist) for contact in data.contact if is_fixed[list(contact.geom)].any()), default=None
+    )
