@@ -5,7 +5,7 @@ from datetime import datetime, timedelta
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Query, Request, Response
-from pydantic import AwareDatetime, Field
+from pydantic import AwareDatetime, BeforeValidator, Field
 
 from api.access import PrincipalDep
 from api.dependencies import QueryParameters, ServiceDep
@@ -36,10 +36,19 @@ def show_metrics(
     return Response(body, headers={"Content-Type": media_type})
 
 
+def _no_number(text: str) -> str:
+    """Refuse what pydantic would read as seconds since 1970, and the document does not offer."""
+    try:
+        float(text)
+    except ValueError:
+        return text
+    raise ValueError("give a date and a time with a time zone, such as 2026-11-20T09:00:00Z")
+
+
 class UsageWindow(QueryParameters):
     """From when on."""
 
-    since: AwareDatetime | None = Field(
+    since: Annotated[AwareDatetime, BeforeValidator(_no_number)] | None = Field(
         None,
         description="The beginning, with a time zone; rounded down to the hour. By default a day ago.",
         examples=["2026-11-20T09:00:00Z"],

@@ -128,6 +128,7 @@ def test_usage_is_told_by_project_and_device(stack: Stack) -> None:
         ("2999-01-01T00:00:00Z", "is in the future"),
         ("2026-11-01T10:00:00", "time"),
         ("yesterday", "time"),
+        ("0.5", "a date and a time"),
     ],
 )
 def test_a_beginning_that_cannot_be_is_refused(stack: Stack, since: str, sentence: str) -> None:

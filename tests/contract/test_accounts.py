@@ -3,6 +3,7 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
+from itertools import product
 
 import psycopg
 import pytest
@@ -254,9 +255,18 @@ def test_ones_own_jobs_come_first_and_pages_lose_and_repeat_none(
 
 
 def test_a_cursor_that_no_listing_gave_is_refused(job_store: PostgresJobStore) -> None:
-    for cursor in ("others-x", "other", "-"):
+    for cursor, first in product(("others-x", "other", "-", "others-", ""), ("ann", None)):
         with pytest.raises(Rejected):
-            job_store.list(JobQuery(whose=Whose(first="ann")), cursor=cursor)
+            job_store.list(JobQuery(whose=Whose(first=first)), cursor=cursor)
+
+
+def test_a_listing_continues_when_accounts_are_turned_off(job_store: PostgresJobStore) -> None:
+    for number in range(3):
+        job_store.add(queued_job(number))
+    whole = job_store.list(JobQuery()).jobs
+    first = job_store.list(JobQuery(whose=Whose(first="ann")), limit=1)
+    rest = job_store.list(JobQuery(), cursor=first.next_cursor)
+    assert [*first.jobs, *rest.jobs] == whole
 
 
 def test_sweeps_come_as_jobs_do(job_store: PostgresJobStore) -> None:

@@ -73,21 +73,33 @@ def own_first(
     """A page of at most `limit` rows, and the cursor of the next one.
 
     newest: rows of a part below an id, at most so many, as `by_bytes` ends them. A cursor among what others
-    have begins with `others`; that alone is their first page.
+    have begins with `others`; that alone is their first page. Where nobody's own come first, all are others':
+    accounts may be turned off between two pages.
     """
+    among_others, before = _place(cursor)
     if whose.first is None or whose.owner is not None:
-        return _page(newest, Part.ALL, None if cursor is None else check_cursor(cursor), limit)
-    part, _, before = (cursor or "").partition("-")
-    if part == _OTHERS:
-        rows, last = _page(newest, Part.OTHERS, check_cursor(before) if before else None, limit)
+        return _page(newest, Part.ALL, before, limit)
+    if among_others:
+        rows, last = _page(newest, Part.OTHERS, before, limit)
         return rows, last and f"{_OTHERS}-{last}"
-    rows, last = _page(newest, Part.OWN, None if cursor is None else check_cursor(cursor), limit)
+    rows, last = _page(newest, Part.OWN, before, limit)
     if last is not None:
         return rows, last
     if len(rows) == limit:
         return rows, _OTHERS if newest(Part.OTHERS, None, 1) else None
     others, last = _page(newest, Part.OTHERS, None, limit - len(rows))
     return [*rows, *others], last and f"{_OTHERS}-{last}"
+
+
+def _place(cursor: str | None) -> tuple[bool, str | None]:
+    """Whether the cursor is among what others have, and the id before which the page begins.
+
+    Raises Rejected.
+    """
+    if cursor is None or cursor == _OTHERS:
+        return cursor == _OTHERS, None
+    before = cursor.removeprefix(f"{_OTHERS}-")
+    return before != cursor, check_cursor(before)
 
 
 def _page(
