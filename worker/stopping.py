@@ -65,6 +65,11 @@ class StopRequest:
         signal.signal(STOP_SIGNAL, self._note)
         signal.signal(DRAIN_SIGNAL, signal.SIG_DFL)
 
+    def is_the_leaders(self) -> None:
+        """The process of another host decides: Slurm sends its signals to all processes of a step."""
+        signal.signal(STOP_SIGNAL, signal.SIG_IGN)
+        signal.signal(DRAIN_SIGNAL, signal.SIG_IGN)
+
     def keep_before_leaving(self) -> None:
         """From now on there is something to keep: DRAIN_SIGNAL no longer ends the process at once."""
         signal.signal(DRAIN_SIGNAL, self._note)

@@ -1,5 +1,6 @@
 """A job that two hosts share: its parts begin together, and none outlives it, whatever happens to one."""
 
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -83,7 +84,9 @@ def test_a_host_that_is_lost_ends_the_attempt_as_a_lost_worker(hosts: Hosts) -> 
     thread.start()
     job_id = supervisor.claim.job_id
     wait_until(lambda: two.bench.store.get(job_id).newest("checkpoint") is not None)
-    two.gang.members[0].connection.close()  # As seen from here, its machine has gone.
+    # As seen from here, its machine has gone. Its descriptor stays: the supervisor's thread is reading it.
+    with socket.socket(fileno=socket.dup(two.gang.members[0].connection.fileno())) as connection:
+        connection.shutdown(socket.SHUT_RDWR)
     thread.join(20)
     lost = two.bench.store.get(job_id)
     assert (lost.status, lost.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_LOST)

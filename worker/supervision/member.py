@@ -46,7 +46,7 @@ from worker.host.health import show_life
 from worker.host.locks import SlotTaken, slots
 from worker.host.memory import MemoryWatch, allowed_bytes
 from worker.protocol import Failed, PhaseEnded
-from worker.stopping import Draining
+from worker.stopping import DRAIN_SIGNAL, Draining
 from worker.supervision.spool import SPOOLS, private, remove_left_over, spool
 from worker.supervision.watching import LogLimit
 
@@ -240,6 +240,8 @@ class MemberAttempt:
         process.kill()
         output.join()
         self._pass_on(output)
+        if status == -DRAIN_SIGNAL and self.member.draining.is_set():  # It came before it was ignored.
+            return _failed(Reason.WORKER_DRAINED, _NOT_STARTED)
         if status == 0:
             output.caches.keep()
         return Ended(status=status, failure=too_much or output.failure, is_stopped=self._is_stopped)

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 from worker.confinement.own_files import keep_to_own_files
 from worker.host.processes import die_with_parent
@@ -13,10 +14,13 @@ from worker.stopping import StopRequest
 
 def main() -> None:
     spool, events_fd = Path(sys.argv[1]), int(sys.argv[2])
-    if _has_a_users_model(spool):
+    task = _task(spool)
+    if task.get("model"):
         keep_to_own_files(spool)
     die_with_parent()
     stopping = StopRequest()
+    if (task.get("gang") or {}).get("rank"):
+        stopping.is_the_leaders()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Sent before anything heavy is imported: from here on the job is known to run.
     os.write(events_fd, json.dumps({"type": "hello", "pid": os.getpid()}).encode() + b"\n")
@@ -26,12 +30,12 @@ def main() -> None:
     leave(run(spool, events_fd, stopping))
 
 
-def _has_a_users_model(spool: Path) -> bool:
-    """Read before any thread starts, which would not be confined; `run` reads the rest of the task."""
+def _task(spool: Path) -> dict[str, Any]:
+    """Read before any thread starts, which would not be confined; `run` validates it."""
     try:
-        return bool(json.loads((spool / "task.json").read_bytes()).get("model"))
+        return json.loads((spool / "task.json").read_bytes())
     except (OSError, ValueError):
-        return False
+        return {}
 
 
 if __name__ == "__main__":

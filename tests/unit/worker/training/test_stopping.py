@@ -32,3 +32,10 @@ def test_word_may_be_left_twice(stopping: StopRequest) -> None:
     for _ in range(2):
         os.kill(os.getpid(), DRAIN_SIGNAL)
     assert stopping.leaving
+
+
+def test_a_part_of_a_shared_job_leaves_signals_to_the_leader(stopping: StopRequest) -> None:
+    stopping.is_the_leaders()
+    os.kill(os.getpid(), DRAIN_SIGNAL)  # By default it would end this process.
+    os.kill(os.getpid(), STOP_SIGNAL)
+    assert not stopping.asked
