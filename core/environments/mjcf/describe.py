@@ -28,6 +28,7 @@ def inventory(model: mujoco.MjModel) -> Inventory:
     """The model's parts, by name."""
     root = root_of(model)
     kinds = _joint_types(model, root)
+    moving, fixed = touchable(model)
     return Inventory(
         joints=[_joint(model, number) for number in range(model.njnt)],
         actuators=[_actuator(model, number) for number in range(model.nu)],
@@ -44,7 +45,28 @@ def inventory(model: mujoco.MjModel) -> Inventory:
         mass_kg=float(model.body_mass.sum()),
         timestep_s=float(model.opt.timestep),
         num_pairs=_num_pairs(model),
+        colliders={name: _welded(model, geom) for geom in moving if (name := model.geom(geom).name)},
+        num_fixed_colliders=len(fixed),
     )
+
+
+def touchable(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+    """The geoms that can touch something, by their masks or as part of a `<pair>`: those that move, and those
+    of the world."""
+    can = (model.geom_contype | model.geom_conaffinity) != 0
+    can[[*model.pair_geom1, *model.pair_geom2]] = True
+    moves = model.body_weldid[model.geom_bodyid] != 0
+    return np.flatnonzero(can & moves).tolist(), np.flatnonzero(can & ~moves).tolist()
+
+
+def _welded(model: mujoco.MjModel, geom: int) -> list[str]:
+    """The geom's body and those that this one is welded to, from below."""
+    body = int(model.geom_bodyid[geom])
+    names = [model.body(body).name]
+    while not model.body_jntnum[body] and body:
+        body = int(model.body_parentid[body])
+        names.append(model.body(body).name)
+    return names
 
 
 def _num_pairs(model: mujoco.MjModel) -> int:
@@ -151,9 +173,12 @@ def _joint(model: mujoco.MjModel, number: int) -> Joint:
 
 def _actuator(model: mujoco.MjModel, number: int) -> Actuator:
     low, high = map(float, model.actuator_ctrlrange[number])
+    on_joints = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    is_on_joint = mujoco.mjtTrn(int(model.actuator_trntype[number])) in on_joints
     return Actuator(
         name=model.actuator(number).name,
         control_range=(low, high) if model.actuator_ctrllimited[number] else None,
+        joint=model.joint(model.actuator_trnid[number, 0]).name if is_on_joint else None,
     )
 
 

@@ -1,6 +1,6 @@
 """Changes of a model before it is compiled: servos, contacts, shapes, floor, pose; no numerical code."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -35,6 +35,8 @@ def _is_regular(pattern: str) -> str:
 
 Pattern = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME), AfterValidator(_is_regular)]
 Patterns = Annotated[list[Pattern], Field(min_length=1, max_length=MOST_MEMBERS)]
+# The keyframe of a pose.
+HOME = "home"
 PATTERNS = "Each is a name, or a regular expression that matches whole names."
 
 
@@ -47,6 +49,13 @@ def matching(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
     """The names that some pattern matches, in their own order. Parts without a name are never matched."""
     several = list(patterns)
     return [name for name in names if name and any(matches(pattern, name) for pattern in several)]
+
+
+def floor_name(geoms: Sequence[str]) -> str:
+    """The name of a floor that is added to these geoms."""
+    return next(
+        name for name in ("floor", *(f"floor {n + 2}" for n in range(len(geoms)))) if name not in geoms
+    )
 
 
 class Servo(Strict):
@@ -132,4 +141,9 @@ class ModelEdits(Strict):
         "larger one of both geoms in the model.",
     )
     servos: list[Servo] = Field(default=[], max_length=MOST_MEMBERS, description="Position servos on joints.")
+    integrator: Literal["euler", "implicitfast"] | None = Field(
+        default=None,
+        description="implicitfast damps stiff servos where euler blows up; null: implicitfast if there are "
+        "servos here, otherwise the model's.",
+    )
     pose: Pose | None = Field(default=None, description="null: as the model's file has it.")

@@ -9,19 +9,20 @@ import mujoco
 import numpy as np
 
 from core.environments.mjcf.edit_options import (
+    HOME,
     Collide,
     Fit,
     ModelEdits,
     Patterns,
     Pose,
     Servo,
+    floor_name,
     matches,
     matching,
 )
 from core.environments.mjcf.model import name_parts
 from core.physics.model import initial_qpos
 
-HOME = "home"
 _DRIVEN = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _ON_A_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 _ACTUATOR_SENSORS = (
@@ -35,6 +36,10 @@ _SHAPES = {
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
     "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+}
+_INTEGRATORS = {
+    "euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
 }
 # Viewers draw the groups 0 to 2, and hide what is there for contacts alone.
 _GROUP_OF_CONTACTS = 3
@@ -56,6 +61,8 @@ def edit(spec: mujoco.MjSpec, edits: ModelEdits) -> None:
     if edits.friction is not None:
         set_friction(spec, edits.friction)
     add_servos(spec, edits.servos)
+    if edits.integrator or edits.servos:
+        spec.option.integrator = _INTEGRATORS[edits.integrator or "implicitfast"]
     if edits.pose is not None:
         add_pose(spec, edits.pose)
 
@@ -67,9 +74,8 @@ def add_floor(spec: mujoco.MjSpec) -> None:
     """Add a plane at height 0 if nothing of the world can be touched."""
     if any(_can_touch(geom) for geom in spec.geoms if _is_fixed(geom.parent)):
         return
-    names = {geom.name for geom in spec.geoms}
     spec.worldbody.add_geom(
-        name=next(name for name in ("floor", "floor 2", "floor 3") if name not in names),
+        name=floor_name([geom.name for geom in spec.geoms]),
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 0.05],
         rgba=[0.8, 0.85, 0.9, 1],
@@ -312,6 +318,12 @@ def posed(model: mujoco.MjModel, pose: Pose) -> np.ndarray:
 def clearance(model: mujoco.MjModel, qpos: np.ndarray) -> float | None:
     """The least distance in m of moving geoms from what they can touch of the world, below 0 where they are
     in it; None if they can touch nothing of it."""
+    _, contacts = near_world(model, qpos)
+    return min((float(contact.dist) for contact in contacts), default=None)
+
+
+def near_world(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[mujoco.MjData, list[Any]]:
+    """The model in these positions [nq], and the contacts that it has with the world at whatever distance."""
     near, data = copy.copy(model), mujoco.MjData(model)
     for margins in (near.geom_margin, near.body_margin, near.pair_margin):
         margins[:] = _FAR
@@ -320,6 +332,4 @@ def clearance(model: mujoco.MjModel, qpos: np.ndarray) -> float | None:
     mujoco.mj_comPos(near, data)
     mujoco.mj_collision(near, data)
     is_fixed = model.body_weldid[model.geom_bodyid] == 0
-    return min(
-        (float(contact.dist) for contact in data.contact if is_fixed[list(contact.geom)].any()), default=None
-    )
+    return data, [contact for contact in data.contact if is_fixed[list(contact.geom)].any()]

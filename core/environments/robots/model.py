@@ -20,8 +20,6 @@ def spec(robot: Robot, edits: ModelEdits | None = None) -> mujoco.MjSpec:
     """
     found = mujoco.MjSpec.from_file(str(file_of(robot)))
     found.option.timestep = robot.timestep
-    # Servos damp more than Euler's explicit forces bear at such timesteps.
-    found.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     edit(found, robot.edits if edits is None else edits)
     return found
 

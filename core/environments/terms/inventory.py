@@ -20,10 +20,12 @@ class Joint(Stored):
 
 
 class Actuator(Stored):
-    """control_range: of `ctrl`; None if it has none, and the action is the control itself."""
+    """control_range: of `ctrl`; None if it has none, and the action is the control itself. joint: the one
+    that it moves; None: it moves something else, or the model was described before joints were noted."""
 
     name: str
     control_range: tuple[float, float] | None = None
+    joint: str | None = None
 
 
 class Sensor(Stored):
@@ -53,6 +55,8 @@ class Inventory(Stored):
     root: the body that terms mean if they name none (`describe.root_of`). has_free_joint: whether it has one.
     travels: whether it can leave its place. initial_height: the root's in metres, in the initial state.
     num_pairs: pairs of geoms that may touch, up to 10,000; None for models described before it was counted.
+    colliders: by name, the moving geoms that can touch something, each with its body and those that this one
+    is welded to; None as above. num_fixed_colliders: geoms of the world that can be touched.
     """
 
     joints: list[Joint]
@@ -70,6 +74,8 @@ class Inventory(Stored):
     mass_kg: float
     timestep_s: float
     num_pairs: int | None = None
+    colliders: dict[str, list[str]] | None = None
+    num_fixed_colliders: int = 0
 
     @property
     def body_size(self) -> BodySize | None:

@@ -8,8 +8,8 @@ import pytest
 from pydantic import ValidationError
 
 from core.environments.mjcf.describe import inventory
-from core.environments.mjcf.edit_options import Fit, ModelEdits, matching
-from core.environments.mjcf.edits import HOME, clearance, edit
+from core.environments.mjcf.edit_options import HOME, Fit, ModelEdits, matching
+from core.environments.mjcf.edits import clearance, edit
 
 DOG = """
 <mujoco>

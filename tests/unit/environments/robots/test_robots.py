@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from core import installation
-from core.environments.mjcf.edits import HOME
+from core.environments.mjcf.edit_options import HOME
 from core.environments.robots import model as models
 from core.environments.robots.g1 import G1
 from core.environments.robots.go1 import GO1

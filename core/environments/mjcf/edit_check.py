@@ -1,0 +1,143 @@
+"""Whether the changes of a model fit it, and what they make of its parts; no numerical code."""
+
+from collections.abc import Iterator, Sequence
+from itertools import islice
+
+from core.bounds import LONGEST_NAME
+from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, floor_name, matches, matching
+from core.environments.terms.inventory import Actuator, Inventory
+from core.errors import Problem
+from core.nearest import nearest
+
+_MAX_NAMES = 20
+_DRIVEN = ("hinge", "slide")
+
+
+def problems(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Problem]:
+    """Places where the changes name something that the model, before them, does not have. pointer: theirs."""
+    driven = [joint.name for joint in model.joints if joint.type in _DRIVEN]
+    for number, fit in enumerate(edits.primitives):
+        yield from _of_patterns(fit.geoms, model.geoms, "geom", f"{pointer}/primitives/{number}/geoms")
+    yield from _of_feet(edits, model, pointer)
+    if isinstance(edits.collide, list):
+        yield from _of_patterns(edits.collide, model.geoms, "geom", f"{pointer}/collide")
+    for number, servo in enumerate(edits.servos):
+        yield from _of_patterns(servo.joints, driven, "hinge or slide", f"{pointer}/servos/{number}/joints")
+    yield from _named_twice(edits.servos, driven, pointer)
+    if edits.pose is not None:
+        yield from _of_pose(edits.pose, driven, f"{pointer}/pose")
+
+
+def _of_feet(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Problem]:
+    if edits.collide == "feet" and edits.feet is None:
+        yield Problem(f"{pointer}/feet", "Only the feet are to collide, but no foot is named.")
+    bodies = model.bodies[1:]
+    yield from _of_patterns(edits.feet or [], bodies, "body", f"{pointer}/feet")
+    if edits.collide != "feet" or model.colliders is None:
+        return
+    carriers = {body for bodies in model.colliders.values() for body in bodies}
+    for number, pattern in enumerate(edits.feet or []):
+        bare = [body for body in matching([pattern], bodies) if body not in carriers]
+        if bare:
+            detail = f"The foot {bare[0]!r} has no geom that can touch anything, so it would sink."
+            yield Problem(f"{pointer}/feet/{number}", detail)
+
+
+def _of_pose(pose: Pose, driven: Sequence[str], pointer: str) -> Iterator[Problem]:
+    before = dict[str, str]()
+    for pattern in pose.joints:
+        here = f"{pointer}/joints/{pattern.replace('~', '~0').replace('/', '~1')}"
+        yield from _of_pattern(pattern, driven, "hinge or slide", here)
+        for joint in matching([pattern], driven):
+            if joint in before:
+                yield Problem(here, f"The joint {joint!r} has a position by {before[joint]!r} already.")
+                break
+            before[joint] = pattern
+
+
+def _named_twice(servos: Sequence[Servo], driven: Sequence[str], pointer: str) -> Iterator[Problem]:
+    before = dict[str, int]()
+    for number, servo in enumerate(servos):
+        twice = [joint for joint in matching(servo.joints, driven) if joint in before]
+        if twice:
+            yield Problem(
+                f"{pointer}/servos/{number}/joints",
+                f"The joint {twice[0]!r} has the servo {before[twice[0]]} already.",
+            )
+        before.update((joint, number) for joint in matching(servo.joints, driven) if joint not in before)
+
+
+def _of_patterns(patterns: Sequence[str], names: Sequence[str], kind: str, pointer: str) -> Iterator[Problem]:
+    for number, pattern in enumerate(patterns):
+        yield from _of_pattern(pattern, names, kind, f"{pointer}/{number}")
+
+
+def _of_pattern(pattern: str, names: Sequence[str], kind: str, pointer: str) -> Iterator[Problem]:
+    if any(matches(pattern, name) for name in names):
+        return
+    near = nearest(pattern.replace(".*", ""), filter(None, names), number=3, cutoff=0.5)
+    if near:
+        hint = f"did you mean {' or '.join(map(repr, near))}?"
+    elif names:
+        some = ", ".join(name[:LONGEST_NAME] for name in islice(filter(None, names), _MAX_NAMES))
+        hint = f"it has {some}{', …' if len(names) > _MAX_NAMES else ''}."
+    else:
+        hint = "it has none with a name."
+    yield Problem(pointer, f"The model has no {kind} that {pattern!r} matches; {hint}")
+
+
+def edited(model: Inventory, edits: ModelEdits) -> Inventory:
+    """The parts of the model after changes that fit it; of its height and sensors nothing is known anew."""
+    actuators = _actuators(model, edits.servos)
+    floor = [floor_name(model.geoms)] if _needs_floor(model, edits) else []
+    keyframes = [name for name in model.keyframes if name != HOME]
+    return model.model_copy(
+        update={
+            "actuators": actuators,
+            "sizes": model.sizes.model_copy(
+                update={"nu": len(actuators), "ngeom": model.sizes.ngeom + len(floor)}
+            ),
+            "geoms": [*floor, *model.geoms],
+            "keyframes": model.keyframes if edits.pose is None else [*keyframes, HOME],
+            "num_pairs": _num_pairs(model, edits),
+        }
+    )
+
+
+def _actuators(model: Inventory, servos: Sequence[Servo]) -> list[Actuator]:
+    """Servos come in the place of a joint's first actuator, and after the others where it has none."""
+    patterns = [pattern for servo in servos for pattern in servo.joints]
+    driven = (joint.name for joint in model.joints if joint.type in _DRIVEN)
+    waiting = dict.fromkeys(matching(patterns, driven))
+    kept, taken = list[Actuator](), {actuator.name for actuator in model.actuators}
+    has_servo = set[str]()
+    for actuator in model.actuators:
+        if actuator.joint in waiting:
+            kept.append(Actuator(name=actuator.name, joint=actuator.joint))
+            has_servo.add(actuator.joint)
+            del waiting[actuator.joint]
+        elif actuator.joint not in has_servo:
+            kept.append(actuator)
+    names = {joint: joint if joint not in taken else f"{joint} servo" for joint in waiting}
+    return [*kept, *(Actuator(name=name, joint=joint) for joint, name in names.items())]
+
+
+def _needs_floor(model: Inventory, edits: ModelEdits) -> bool:
+    return edits.floor and not model.num_fixed_colliders
+
+
+def _num_pairs(model: Inventory, edits: ModelEdits) -> int | None:
+    """Pairs of geoms that may touch; None where they are not known."""
+    if model.colliders is None or model.num_pairs is None:
+        return None
+    num_fixed = model.num_fixed_colliders + _needs_floor(model, edits)
+    match edits.collide:
+        case "declared":
+            return model.num_pairs + len(model.colliders) * _needs_floor(model, edits)
+        case "floor":
+            return len(model.colliders) * num_fixed
+        case "feet":
+            feet = set(matching(edits.feet or [], model.bodies))
+            return num_fixed * sum(bool(feet & set(bodies)) for bodies in model.colliders.values())
+        case patterns:
+            return num_fixed * len(matching(patterns, model.geoms))

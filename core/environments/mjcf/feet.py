@@ -1,0 +1,73 @@
+"""Where a robot's feet are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from core.environments.mjcf.describe import touchable
+from core.environments.mjcf.edit_options import matching
+from core.environments.mjcf.edits import near_world
+
+# m: points of a sole are at most so much above its lowest one.
+_FLAT = 0.005
+
+
+@dataclass(frozen=True)
+class Foot:
+    """body: its number. point: [3] in the body's frame, m: the middle of the sole; of a round foot, the
+    centre of its sphere. radius: m, of a round foot, otherwise 0: the sole is so much below the point.
+    geoms: the numbers of those that can touch something."""
+
+    body: int
+    point: np.ndarray
+    radius: float
+    geoms: tuple[int, ...]
+
+
+def feet_of(model: mujoco.MjModel, patterns: Sequence[str], qpos: np.ndarray) -> list[Foot]:
+    """The feet, in the model's order. qpos: [nq], a pose in which they would rest on the world.
+
+    Feet that can touch nothing of the world are at their bodies' origins.
+    """
+    bodies = matching(patterns, (model.body(number).name for number in range(model.nbody)))
+    data, contacts = near_world(model, qpos)
+    moving, _ = touchable(model)
+    return [_foot(model, data, contacts, model.body(name).id, moving) for name in bodies]
+
+
+def _foot(
+    model: mujoco.MjModel, data: mujoco.MjData, contacts: Sequence[Any], body: int, moving: Sequence[int]
+) -> Foot:
+    welded = model.body_weldid
+    geoms = tuple(
+        geom
+        for geom in moving
+        if welded[model.geom_bodyid[geom]] == welded[body]
+        and _is_below(model, int(model.geom_bodyid[geom]), body)
+    )
+    origin, axes = data.xpos[body], data.xmat[body].reshape(3, 3)
+    if len(geoms) == 1 and model.geom_type[geoms[0]] == int(mujoco.mjtGeom.mjGEOM_SPHERE):
+        centre = data.geom_xpos[geoms[0]]
+        return Foot(body, axes.T @ (centre - origin), float(model.geom_size[geoms[0], 0]), geoms)
+    own = [contact for contact in contacts if set(map(int, contact.geom)) & set(geoms)]
+    if not own:
+        return Foot(body, np.zeros(3), 0.0, geoms)
+    lowest = min(contact.dist for contact in own)
+    sole = [_point_of(contact, model) for contact in own if contact.dist <= lowest + _FLAT]
+    return Foot(body, axes.T @ (np.mean(sole, axis=0) - origin), 0.0, geoms)
+
+
+def _point_of(contact: Any, model: mujoco.MjModel) -> np.ndarray:
+    """The point of a contact on its moving geom, [3]: half the distance from the middle, along the normal,
+    which goes from the first geom to the second."""
+    is_second = model.body_weldid[model.geom_bodyid[contact.geom[1]]] != 0
+    return contact.pos + (0.5 if is_second else -0.5) * contact.dist * contact.frame[:3]
+
+
+def _is_below(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
+    while body > ancestor:
+        body = int(model.body_parentid[body])
+    return body == ancestor
