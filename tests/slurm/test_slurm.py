@@ -232,7 +232,7 @@ def test_nodes_reach_the_stores_by_ssh_alone(world: World, tmp_path: Path) -> No
         wait_until(lambda: not world.allocations(), 60)
 
 
-def test_the_doctor_says_what_is_missing(world: World) -> None:
+def test_the_doctor_says_what_is_missing(world: World, tmp_path: Path) -> None:
     def doctor(*options: str) -> dict[str, tuple[str, str]]:
         command = [*GAITWAY, "doctor", "--slurm", "--json", "--data", str(world.data), *options]
         answer = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
@@ -245,7 +245,14 @@ def test_the_doctor_says_what_is_missing(world: World) -> None:
     without_driver = doctor("--tunnel", "none", "--gpus", "1", "--cpus", "1", "--mem", "1G", "--node")
     assert "no NVIDIA GPU is visible here" in without_driver["a node (gpu1)"][1]
     unreachable = doctor("--tunnel", "127.0.0.1", "--cpus", "2", "--mem", "1G", "--node")
-    assert "has not forwarded the stores" in unreachable["a node (cpu)"][1]
+    assert re.search(r"has not forwarded the stores within 30 s: \S", unreachable["a node (cpu)"][1])
+    from_here = doctor("--tunnel", "127.0.0.1", "--cpus", "2", "--mem", "1G")
+    assert from_here["stores"][0] == "fail"
+    assert from_here["stores"][1].startswith("ssh to 127.0.0.1 fails from here: ")
+    with sshd(tmp_path) as tunnel:
+        (tmp_path / "slurm.toml").write_text(f'[cpu]\ncpus = 2\nmem = "1G"\n{tunnel}')
+        reached = doctor("--config", str(tmp_path / "slurm.toml"))
+    assert reached["stores"] == ("pass", "nodes reach them by ssh to 127.0.0.1")
 
 
 @contextmanager

@@ -86,8 +86,14 @@ def _text(value: Any) -> str:
 def with_tunnel(options: SlurmOptions, stores: Mapping[str, str]) -> SlurmOptions:
     """The options with a tunnel to this machine, where the stores listen for it alone and none is named."""
     if options.tunnel is None and is_local(stores):
-        return options.model_copy(update={"tunnel": Tunnel(host=socket.getfqdn(), port=22)})
+        return options.model_copy(update={"tunnel": Tunnel(host=name_of_this_machine(), port=22)})
     return options
+
+
+def name_of_this_machine() -> str:
+    """As nodes know it: where /etc/hosts gives its own address the name `localhost`, without a domain."""
+    name = socket.getfqdn()
+    return socket.gethostname() if name.split(".")[0] == "localhost" else name
 
 
 def place_of(folder: Path, options: SlurmOptions, stores: Mapping[str, str]) -> Place:
@@ -292,6 +298,11 @@ class Site:
         if self._store is None:
             raise Unavailable("There is no record.")
         return self._store
+
+    @property
+    def object_store(self) -> str:
+        """HOST:PORT of the object store, as the tunnel's host reaches it."""
+        return self._variables["GAITWAY_S3_ENDPOINT"]
 
     def script(self, kind: SlotKind, name: str, exclude: Sequence[str], module: str = "worker.main") -> str:
         """The batch script of a worker. module: what runs on the node in its place, by the same way."""

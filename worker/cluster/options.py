@@ -100,6 +100,20 @@ class Tunnel(Strict):
     key: Path | None = None
     known_hosts: Path | None = None
 
+    @property
+    def ssh(self) -> list[str]:
+        """The options of an ssh that asks nobody anything."""
+        words = ["-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "-p", str(self.port)]
+        if self.key is not None:
+            words += ["-i", str(self.key), "-o", "IdentitiesOnly=yes"]
+        if self.known_hosts is not None:
+            words += ["-o", f"UserKnownHostsFile={self.known_hosts}", "-o", "StrictHostKeyChecking=yes"]
+        return words
+
+    @property
+    def destination(self) -> str:
+        return f"{self.user}@{self.host}" if self.user else self.host
+
 
 class SlurmOptions(Strict):
     """Everything that `gaitway cluster slurm` is told."""

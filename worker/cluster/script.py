@@ -106,9 +106,9 @@ set -m
   trap '' TERM INT USR1
   exec 9>&-
   while :; do
-    ssh -N -T -o BatchMode=yes -o ExitOnForwardFailure=yes -o ConnectTimeout=10 \\
-      -o ServerAliveInterval=10 -o ServerAliveCountMax=3 \\
-      -o StreamLocalBindUnlink=yes -o StreamLocalBindMask=0177 @SSH@ </dev/null
+    ssh -N -T -o ExitOnForwardFailure=yes -o ServerAliveInterval=10 -o ServerAliveCountMax=3 \\
+      -o StreamLocalBindUnlink=yes -o StreamLocalBindMask=0177 @SSH@ </dev/null 2>"$data/ssh.now"
+    tee -a "$data/ssh" <"$data/ssh.now" >&2
     sleep 1
   done
 ) &
@@ -121,7 +121,7 @@ for _ in $(seq 150); do
   sleep 0.2
 done
 if ! @IS_OPEN@; then
-  echo "ssh to @HOST@ has not forwarded the stores within 30 s; its own words are above"
+  echo "ssh to @HOST@ has not forwarded the stores within 30 s: $(tail -n 1 "$data/ssh" 2>/dev/null)"
   exit 69
 fi"""
 
@@ -225,17 +225,12 @@ def _filled(text: str, parts: dict[str, str]) -> str:
 
 
 def _tunnel(tunnel: Tunnel, place: Place) -> str:
-    words = ["-p", str(tunnel.port)]
-    if tunnel.key is not None:
-        words += ["-i", str(tunnel.key), "-o", "IdentitiesOnly=yes"]
-    if tunnel.known_hosts is not None:
-        words += ["-o", f"UserKnownHostsFile={tunnel.known_hosts}", "-o", "StrictHostKeyChecking=yes"]
-    ssh = shlex.join(words)
+    ssh = shlex.join(tunnel.ssh)
     for forward in place.forwards:
         there = forward.replace("@FOLDER@", "$sockets")
         there = re.sub(r"@PORT(\d+)@", r"${ports[\1]}", there)
         ssh += f' -L "{there}"'
-    ssh += " " + shlex.quote(f"{tunnel.user}@{tunnel.host}" if tunnel.user else tunnel.host)
+    ssh += " " + shlex.quote(tunnel.destination)
     # ssh opens all of them, or none.
     first = place.forwards[0].split(":", 1)[0].replace("@FOLDER@", "$sockets")
     if "@PORT" in place.forwards[0]:

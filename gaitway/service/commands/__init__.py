@@ -10,6 +10,7 @@ def add_to(app: typer.Typer, *, hidden: bool) -> None:
     """Add them to the program. hidden: from its help."""
     for command in (check.check, doctor.doctor, play.play, profile.profile, run.run, services.up):
         app.command(hidden=hidden)(command)
-    for command in (services.demo, services.api, services.worker):
+    for command in (services.demo, services.api):
         app.command(hidden=hidden, context_settings=PASS_ON)(command)
+    app.command(hidden=hidden)(services.worker)
     app.add_typer(cluster.cluster, name="cluster", hidden=hidden)

@@ -56,7 +56,6 @@ def api(context: typer.Context) -> None:
 
 
 def worker(
-    context: typer.Context,
     server: Annotated[
         str | None,
         typer.Option(
@@ -68,7 +67,7 @@ def worker(
     require("worker", "rq", "redis", "minio", "jax", "mujoco")
     if server is not None:
         joined(server, os.environ)
-    _become("worker.main", context.args)
+    _become("worker.main", [])
 
 
 def joined(server: str, environ: MutableMapping[str, str]) -> None:

@@ -1,6 +1,7 @@
 """Checks on a login node: whether `gaitway cluster slurm` could keep workers with these options."""
 
 import shutil
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from worker.cluster.slurm import ask, last_words, name_of
 
 _PROGRAMS = ("sbatch", "squeue", "scancel", "sinfo")
 _NODE_WITHIN_S = 120.0
+_SSH_WITHIN_S = 20.0
 
 
 def examine_slurm(options: SlurmOptions, data: Path, folder: Path, *, on_node: bool) -> Iterator[Check]:
@@ -39,18 +41,48 @@ def examine_slurm(options: SlurmOptions, data: Path, folder: Path, *, on_node: b
     except Misconfigured as error:
         yield Check("stores", "fail", error.detail, "Start `gaitway up --workers 0`, or correct the option.")
         return
-    tunnel = site.options.tunnel
-    way = (
-        f"nodes reach them by ssh to {tunnel.host}"
-        if isinstance(tunnel, Tunnel)
-        else "nodes reach them themselves"
-    )
-    yield Check("stores", "pass", way)
+    yield _way(site.options.tunnel, site.object_store, on_node=on_node)
     for kind in options.kinds:
         check = _kind(kind, options, seen, site)
         yield check
         if on_node and check.state == "pass":
             yield _node(kind, site, folder)
+
+
+def _way(tunnel: Tunnel | str | None, store: str, *, on_node: bool) -> Check:
+    """How nodes reach the stores. Where no node tries it, ssh is tried from here."""
+    if not isinstance(tunnel, Tunnel):
+        return Check("stores", "pass", "nodes reach them themselves")
+    wrong = None if on_node else _refused(tunnel, store)
+    if wrong is None:
+        return Check("stores", "pass", f"nodes reach them by ssh to {tunnel.host}")
+    remedy = (
+        'docs/clusters.md, "How nodes reach the stores", makes a key with which ssh asks nothing; `--node` '
+        "tries it from a node."
+    )
+    return Check("stores", "fail", f"ssh to {tunnel.host} fails from here: {wrong}", remedy)
+
+
+def _refused(tunnel: Tunnel, store: str) -> str | None:
+    """Why ssh does not forward to this HOST:PORT, in its own words; None if it does."""
+    host, _, port = store.partition(":")
+    words = ["ssh", *tunnel.ssh, "-W", f"{host}:{port or 80}", tunnel.destination]
+    try:
+        run = subprocess.run(
+            words,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=_SSH_WITHIN_S,
+            check=False,
+        )
+    except FileNotFoundError:
+        return "ssh is not installed."
+    except subprocess.TimeoutExpired:
+        return f"no answer within {_SSH_WITHIN_S:.0f} s."
+    if run.returncode == 0:
+        return None
+    return next(reversed(run.stderr.strip().splitlines()), f"exit status {run.returncode}")
 
 
 def _kind(kind: SlotKind, options: SlurmOptions, seen: list[NodeGroup], site: Site) -> Check:
@@ -81,13 +113,14 @@ def _node(kind: SlotKind, site: Site, folder: Path) -> Check:
         return Check(
             name, "warn", f"no node was free within {_NODE_WITHIN_S:.0f} s ({reason})", "Try again later."
         )
-    words = last_words(folder.absolute() / "logs" / f"{job}.log")
+    log = folder.absolute() / "logs" / f"{job}.log"
+    words = last_words(log)
     if words.startswith(READY):
         return Check(name, "pass", words)
     if not words:
         remedy = f"Name a folder that all nodes see: --folder; now it is {folder.absolute()}."
         return Check(name, "fail", f"job {job} left no output here", remedy)
-    return Check(name, "fail", words, "See docs/clusters.md; the job's whole output is in the folder `logs`.")
+    return Check(name, "fail", words, f"See docs/clusters.md; the job's whole output is {log}.")
 
 
 def _wait(state: Callable[[], str]) -> str:
