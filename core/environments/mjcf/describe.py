@@ -168,13 +168,36 @@ def _joint(model: mujoco.MjModel, number: int) -> Joint:
         qpos_start=int(joint.qposadr[0]),
         qvel_start=int(joint.dofadr[0]),
         range=(low, high) if limited else None,
+        effort=_effort(model, number) if kind in ("hinge", "slide") else None,
     )
+
+
+def _effort(model: mujoco.MjModel, joint: int) -> float | None:
+    """The greatest torque or force of the joint's first actuator at the joint; None: there is no limit."""
+    limits = list[float]()
+    acts_on_it = _acts_on_joints(model) & (model.actuator_trnid[:, 0] == joint)
+    for actuator in np.flatnonzero(acts_on_it)[:1]:
+        gear = abs(float(model.actuator_gear[actuator, 0]))
+        if model.actuator_forcelimited[actuator]:
+            limits.append(gear * float(np.abs(model.actuator_forcerange[actuator]).max()))
+        is_motor = not model.actuator_gaintype[actuator] and not model.actuator_biastype[actuator]
+        if is_motor and model.actuator_ctrllimited[actuator]:
+            most = float(np.abs(model.actuator_ctrlrange[actuator]).max())
+            limits.append(gear * abs(float(model.actuator_gainprm[actuator, 0])) * most)
+    if model.jnt_actfrclimited[joint]:
+        limits.append(float(np.abs(model.jnt_actfrcrange[joint]).max()))
+    return min(limits, default=None)
+
+
+def _acts_on_joints(model: mujoco.MjModel) -> np.ndarray:
+    """[nu]"""
+    kinds = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+    return np.isin(model.actuator_trntype, [int(kind) for kind in kinds])
 
 
 def _actuator(model: mujoco.MjModel, number: int) -> Actuator:
     low, high = map(float, model.actuator_ctrlrange[number])
-    on_joints = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    is_on_joint = mujoco.mjtTrn(int(model.actuator_trntype[number])) in on_joints
+    is_on_joint = _acts_on_joints(model)[number]
     return Actuator(
         name=model.actuator(number).name,
         control_range=(low, high) if model.actuator_ctrllimited[number] else None,

@@ -23,9 +23,10 @@ def problems(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Prob
         yield from _of_patterns(edits.collide, model.geoms, "geom", f"{pointer}/collide")
     for number, servo in enumerate(edits.servos):
         yield from _of_patterns(servo.joints, driven, "hinge or slide", f"{pointer}/servos/{number}/joints")
+        yield from _without_stiffness(servo, model, f"{pointer}/servos/{number}/kp")
     yield from _named_twice(edits.servos, driven, pointer)
     if edits.pose is not None:
-        yield from _of_pose(edits.pose, driven, f"{pointer}/pose")
+        yield from _of_pose(edits.pose, model, driven, f"{pointer}/pose")
 
 
 def _of_feet(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Problem]:
@@ -43,7 +44,23 @@ def _of_feet(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Prob
             yield Problem(f"{pointer}/feet/{number}", detail)
 
 
-def _of_pose(pose: Pose, driven: Sequence[str], pointer: str) -> Iterator[Problem]:
+def _without_stiffness(servo: Servo, model: Inventory, pointer: str) -> Iterator[Problem]:
+    if servo.kp is not None or servo.effort is not None:
+        return
+    weak = {joint.name for joint in model.joints if joint.type in _DRIVEN and joint.effort is None}
+    for joint in matching(servo.joints, weak):
+        detail = (
+            f"The model knows no greatest torque of the joint {joint!r}: give the servo a kp or an effort."
+        )
+        yield Problem(pointer, detail)
+        break
+
+
+def _of_pose(pose: Pose, model: Inventory, driven: Sequence[str], pointer: str) -> Iterator[Problem]:
+    if pose.keyframe is not None and pose.keyframe not in model.keyframes:
+        named = ", ".join(name[:LONGEST_NAME] for name in islice(filter(None, model.keyframes), _MAX_NAMES))
+        has = f"it has {named}" if named else "it has none with a name"
+        yield Problem(f"{pointer}/keyframe", f"The model has no keyframe {pose.keyframe!r}; {has}.")
     before = dict[str, str]()
     for pattern in pose.joints:
         here = f"{pointer}/joints/{pattern.replace('~', '~0').replace('/', '~1')}"

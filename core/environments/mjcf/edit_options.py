@@ -37,6 +37,9 @@ Pattern = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME), AfterVali
 Patterns = Annotated[list[Pattern], Field(min_length=1, max_length=MOST_MEMBERS)]
 # The keyframe of a pose.
 HOME = "home"
+# Of a servo that does not say its gains: kp / effort in 1/rad, and kd / kp in s. Of ten quadrupeds of 12 to
+# 127 kg, eight then stand within 0.3 rad of their poses; with half as much two do, and three tip over.
+_PER_EFFORT, _DAMPING_S = 2.0, 0.04
 PATTERNS = "Each is a name, or a regular expression that matches whole names."
 
 
@@ -66,8 +69,13 @@ class Servo(Strict):
     """
 
     joints: Patterns = Field(description=f"Hinges and slides. {PATTERNS}")
-    kp: float = Field(gt=0, le=1e6, description="Stiffness, N m/rad.")
-    kd: float = Field(ge=0, le=1e5, description="Damping, N m s/rad.")
+    kp: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Stiffness, N m/rad; null: twice the effort per rad, so that half a rad takes all of it.",
+    )
+    kd: float | None = Field(default=None, ge=0, le=1e5, description="Damping, N m s/rad; null: kp · 0.04 s.")
     effort: float | None = Field(
         default=None,
         gt=0,
@@ -91,6 +99,17 @@ class Servo(Strict):
     )
 
 
+def gains(servo: Servo, effort: float | None) -> tuple[float, float]:
+    """kp and kd of the servo at a joint. effort: its greatest torque in N m; None: it has no limit.
+
+    Raises ValueError if kp is to follow from an effort that there is not.
+    """
+    kp = _PER_EFFORT * effort if servo.kp is None and effort is not None else servo.kp
+    if kp is None:
+        raise ValueError("a servo needs a kp where no greatest torque is known")
+    return kp, _DAMPING_S * kp if servo.kd is None else servo.kd
+
+
 class Fit(Strict):
     """Colliding meshes that a simple shape replaces, fitted to each mesh's bounding box; what is drawn, and
     masses and inertias, stay."""
@@ -102,8 +121,11 @@ class Fit(Strict):
 class Pose(Strict):
     """Where an episode begins and what actions are about; kept as the model's keyframe `home`."""
 
+    keyframe: Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)] | None = Field(
+        default=None, description="The model's keyframe that it follows; null: the model's initial state."
+    )
     joints: Annotated[dict[Pattern, Real], Field(max_length=MOST_MEMBERS)] = Field(
-        default={}, description=f"Positions, rad or m; the others keep the model's own. {PATTERNS}"
+        default={}, description=f"Positions, rad or m, in place of those. {PATTERNS}"
     )
     height: Real | None = Field(
         default=None,

@@ -17,11 +17,14 @@ from core.environments.mjcf.edit_options import (
     Pose,
     Servo,
     floor_name,
+    gains,
     matches,
     matching,
 )
-from core.environments.mjcf.model import name_parts
+from core.environments.mjcf.model import compiled, name_parts
+from core.errors import JobFailed
 from core.physics.model import initial_qpos
+from core.reasons import Reason
 
 _DRIVEN = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _ON_A_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
@@ -51,7 +54,8 @@ _WITH_FRICTION = 3
 def edit(spec: mujoco.MjSpec, edits: ModelEdits) -> None:
     """Change the specification. What a pattern names that is not there is left out: see `edit_check`.
 
-    Raises ValueError, with MuJoCo's own message, if the model does not compile where that is needed.
+    Raises JobFailed("bad_model") if a servo's kp cannot be known, the pose's keyframe is not there, or the
+    model does not compile where that is needed.
     """
     name_parts(spec)
     if edits.floor:
@@ -168,13 +172,13 @@ def _add_drawing(geom: Any) -> None:
 
 def _keep_inertias(spec: mujoco.MjSpec) -> None:
     """Write the masses and inertias that follow from geoms into their bodies."""
-    model = spec.compile()
+    model = compiled(spec)
     for body in spec.bodies[1:]:
         if body.explicitinertial and spec.compiler.inertiafromgeom != 1:
             continue
-        compiled = model.body(body.id)
-        body.mass, body.ipos, body.iquat = float(compiled.mass[0]), compiled.ipos, compiled.iquat
-        body.inertia, body.explicitinertial = compiled.inertia, True
+        inertial = model.body(body.id)
+        body.mass, body.ipos, body.iquat = float(inertial.mass[0]), inertial.ipos, inertial.iquat
+        body.inertia, body.explicitinertial = inertial.inertia, True
     spec.compiler.inertiafromgeom = 0
 
 
@@ -236,7 +240,11 @@ def _added(spec: mujoco.MjSpec, joint: str, taken: set[str]) -> Any:
 
 def _become_servo(actuator: Any, joint: Any, servo: Servo) -> None:
     effort = servo.effort or effort_of(actuator, joint)
-    actuator.set_to_position(kp=servo.kp, kv=servo.kd)
+    try:
+        kp, kd = gains(servo, effort)
+    except ValueError as error:
+        raise JobFailed(Reason.BAD_MODEL, f"The joint {joint.name!r}: {error}.") from None
+    actuator.set_to_position(kp=kp, kv=kd)
     actuator.trntype, actuator.gear = mujoco.mjtTrn.mjTRN_JOINT, [1, 0, 0, 0, 0, 0]
     actuator.ctrllimited, actuator.ctrlrange, actuator.inheritrange = False, [0, 0], 0
     actuator.actlimited, actuator.actrange = False, [0, 0]
@@ -256,17 +264,24 @@ def _load(joint: Any, servo: Servo) -> None:
 
 def effort_of(actuator: Any, joint: Any) -> float | None:
     """The greatest torque of the actuator at its joint before it becomes a servo, N m; None: no limit."""
-    gear, limits = abs(actuator.gear[0]), list[float]()
-    if actuator.forcerange[1] > actuator.forcerange[0]:
-        limits.append(gear * max(abs(actuator.forcerange)))
+    gear, limits = abs(float(actuator.gear[0])), list[float]()
+    if force := _bound(actuator.forcelimited, actuator.forcerange):
+        limits.append(gear * force)
     is_motor = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and (
         actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
     )
-    if is_motor and actuator.ctrlrange[1] > actuator.ctrlrange[0]:
-        limits.append(gear * abs(actuator.gainprm[0]) * max(abs(actuator.ctrlrange)))
-    if joint.actfrcrange[1] > joint.actfrcrange[0]:
-        limits.append(max(abs(joint.actfrcrange)))
+    if is_motor and (control := _bound(actuator.ctrllimited, actuator.ctrlrange)):
+        limits.append(gear * abs(float(actuator.gainprm[0])) * control)
+    if torque := _bound(joint.actfrclimited, joint.actfrcrange):
+        limits.append(torque)
     return min(limits, default=None)
+
+
+def _bound(limited: int, values: Sequence[float]) -> float | None:
+    """The larger end of a range that holds; by itself it does where it is not empty."""
+    low, high = map(float, values)
+    holds = limited != mujoco.mjtLimited.mjLIMITED_FALSE and high > low
+    return max(abs(low), abs(high)) if holds else None
 
 
 def _remove(spec: mujoco.MjSpec, actuator: Any) -> None:
@@ -281,10 +296,9 @@ def _remove(spec: mujoco.MjSpec, actuator: Any) -> None:
 
 def add_pose(spec: mujoco.MjSpec, pose: Pose) -> None:
     """Make the pose the keyframe `home`, in place of one of that name. Its controls hold it by servos."""
+    qpos = posed(model := compiled(spec), pose)
     for key in [key for key in spec.keys if key.name == HOME]:
         spec.delete(key)
-    model = spec.compile()
-    qpos = posed(model, pose)
     targets = [_target(model, number, qpos) for number in range(model.nu)]
     spec.add_key(name=HOME, qpos=qpos, ctrl=targets)
 
@@ -298,8 +312,13 @@ def _target(model: mujoco.MjModel, actuator: int, qpos: np.ndarray) -> float:
 
 
 def posed(model: mujoco.MjModel, pose: Pose) -> np.ndarray:
-    """Positions [nq] in this pose."""
-    qpos = initial_qpos(model)
+    """Positions [nq] in this pose. Raises JobFailed("bad_model") if its keyframe is not there."""
+    if pose.keyframe is None:
+        qpos = initial_qpos(model)
+    elif pose.keyframe in (model.key(number).name for number in range(model.nkey)):
+        qpos = model.key(pose.keyframe).qpos.copy()
+    else:
+        raise JobFailed(Reason.BAD_MODEL, f"The model has no keyframe {pose.keyframe!r}.")
     for number in range(model.njnt):
         joint = model.joint(number)
         value = next((value for name, value in pose.joints.items() if matches(name, joint.name)), None)

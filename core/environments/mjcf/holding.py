@@ -58,13 +58,13 @@ def _unstable(model: mujoco.MjModel, edits: ModelEdits, qpos: np.ndarray, pointe
         return
     joint = model.joint(model.actuator_trnid[actuator, 0]).name
     place = next(number for number, servo in enumerate(edits.servos) if matching(servo.joints, [joint]))
-    servo = edits.servos[place]
+    old_kp, old_kd = float(model.actuator_gainprm[actuator, 0]), -float(model.actuator_biasprm[actuator, 2])
     share = largest_stable(model, qpos)
     if share is None:
         hint = "no smaller kp with the same damping ratio helps: take a shorter timestep."
     else:
-        kp = _rounded_down(servo.kp * share, digits=2)
-        kd = _rounded_down(servo.kd * (kp / servo.kp) ** 0.5, digits=3)
+        kp = _rounded_down(old_kp * share, digits=2)
+        kd = _rounded_down(old_kd * (kp / old_kp) ** 0.5, digits=3)
         hint = (
             f"the largest stable kp is {kp:g}, with a kd of {kd:g} for the same damping ratio; or take a "
             "shorter timestep."

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from core.environments.mjcf.edit_options import ModelEdits, Servo
+from core.environments.mjcf.edit_options import ModelEdits, Servo, gains
 
 # Of the target's way that the greatest torque holds against the spring: actions of ±1 then ask for a quarter.
 _SHARE_OF_EFFORT = 0.25
@@ -34,8 +34,9 @@ class Robot:
 def scale_of(servo: Servo) -> float:
     """How far an action of 1 moves the servo's target, rad: there, a quarter of its effort pushes.
 
-    Raises ValueError if the servo has no limit.
+    Raises ValueError if the servo says no effort.
     """
     if servo.effort is None:
         raise ValueError("a servo without a greatest torque has no scale of its own")
-    return _SHARE_OF_EFFORT * servo.effort / servo.kp
+    kp, _ = gains(servo, servo.effort)
+    return _SHARE_OF_EFFORT * servo.effort / kp

@@ -9,7 +9,8 @@ Kind = Literal["body", "geom", "joint", "sensor"]
 
 
 class Joint(Stored):
-    """qpos_start, qvel_start: its first index in qpos and qvel. range: rad or m; None if it has none."""
+    """qpos_start, qvel_start: its first index in qpos and qvel. range: rad or m; None if it has none. effort:
+    the greatest torque or force that its actuators may give, N m or N; None: no limit, or it is not known."""
 
     name: str
     type: Literal["free", "ball", "slide", "hinge"]
@@ -17,6 +18,7 @@ class Joint(Stored):
     qpos_start: int
     qvel_start: int
     range: tuple[float, float] | None = None
+    effort: float | None = None
 
 
 class Actuator(Stored):

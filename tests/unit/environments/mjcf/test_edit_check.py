@@ -22,7 +22,13 @@ def parts(more: str = "", world: str = FLOOR) -> mujoco.MjModel:
     return spec.compile()
 
 
-PARTS = inventory(parts(MOTORS))
+PARTS = inventory(parts(MOTORS.replace('ctrlrange="-2 2"', "")))
+
+
+def test_an_inventory_knows_what_joints_give() -> None:
+    # A motor of 2 · 5 N m, and a joint's own limit.
+    efforts = {joint.name: joint.effort for joint in inventory(parts(MOTORS)).joints}
+    assert efforts == {"trunk free": None, "left_hip": 10, "right_hip": 4, "tail": None}
 
 
 @pytest.mark.parametrize(
@@ -43,6 +49,8 @@ PARTS = inventory(parts(MOTORS))
             "/servos/1/joints",
             "'left_hip' has the servo 0",
         ),
+        ({"servos": [{"joints": [".*_hip"]}]}, "/servos/0/kp", "no greatest torque of the joint 'left_hip'"),
+        ({"pose": {"keyframe": "dwon"}}, "/pose/keyframe", "no keyframe 'dwon'; it has up."),
         ({"collide": "feet"}, "/feet", "no foot is named"),
         ({"feet": ["left_foot", "right_fot"]}, "/feet/1", "did you mean 'right_foot'"),
         ({"feet": ["world"]}, "/feet/0", "no body that 'world' matches"),
@@ -72,7 +80,7 @@ def test_what_is_not_there_is_told_with_its_place(
         {},
         {"floor": True, "servos": [{**SERVO, "joints": [".*"]}], "pose": {"joints": {".*": 0.1}}},
         {"collide": "feet", "feet": [".*_foot"]},
-        {"collide": "floor", "servos": [{**SERVO, "joints": ["left.*"]}]},
+        {"collide": "floor", "servos": [{"joints": ["left.*"]}], "pose": {"keyframe": "up"}},
         {"collide": [".*_leg"]},
     ],
 )

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.edit_options import HOME, Fit, ModelEdits, matching
 from core.environments.mjcf.edits import clearance, edit
+from core.errors import JobFailed
 
 DOG = """
 <mujoco>
@@ -98,6 +99,15 @@ class TestServos:
         left = model.joint("left_hip").dofadr[0]
         assert (model.dof_armature[left], model.dof_damping[left]) == (0.01, 0.3)
         assert model.nu == 2
+
+    def test_gains_follow_from_the_effort(self) -> None:
+        # The motor's 2 · 5 N m, twice per rad, and a 25th of it per rad/s.
+        servo = edited({"servos": [{"joints": ["left_hip"]}]}, more=MOTORS).actuator("pull")
+        assert -servo.biasprm[1:3] == pytest.approx([20, 0.8])
+        stiff = edited({"servos": [{"joints": ["left_hip"], "kp": 50}]}, more=MOTORS).actuator("pull")
+        assert -stiff.biasprm[1:3] == pytest.approx([50, 2])
+        with pytest.raises(JobFailed, match="'left_hip': a servo needs a kp"):
+            edited({"servos": [{"joints": ["left_hip"]}]})
 
     def test_a_ball_has_no_servo(self) -> None:
         model = edited({"servos": [{**SERVO, "joints": [".*"]}]})
@@ -191,6 +201,15 @@ class TestPose:
         # A foot is 0.3 m down the leg and 0.03 m thick, and the ground at 0.1 m.
         assert qpos[2] == pytest.approx(0.1 + 0.03 + 0.3 * np.cos(0.5))
         assert clearance(model, qpos) == pytest.approx(0, abs=1e-9)
+
+    def test_it_may_follow_a_keyframe(self) -> None:
+        keyframe = MOTORS.replace('name="up"', 'name="home"')
+        with pytest.raises(JobFailed, match="no keyframe 'home'"):
+            edited({"pose": {"keyframe": "home"}}, more=MOTORS)
+        model = edited({"pose": {"keyframe": "home", "joints": {"right_hip": -0.2}}}, more=keyframe)
+        assert model.nkey == 1
+        assert model.key(HOME).qpos[7:9].tolist() == [0.1, -0.2]
+        assert clearance(model, model.key(HOME).qpos) == pytest.approx(0, abs=1e-9)
 
     def test_its_height_may_be_given(self) -> None:
         model = edited({"pose": {"height": 0.2}})
