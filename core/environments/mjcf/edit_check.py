@@ -25,6 +25,9 @@ def problems(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Prob
         yield from _of_patterns(servo.joints, driven, "hinge or slide", f"{pointer}/servos/{number}/joints")
         yield from _without_stiffness(servo, model, f"{pointer}/servos/{number}/kp")
     yield from _named_twice(edits.servos, driven, pointer)
+    if not _actuators(model, edits.servos):
+        detail = "The model has no actuators, so no policy could move it: name joints that servos move."
+        yield Problem(f"{pointer}/servos", detail)
     if edits.pose is not None:
         yield from _of_pose(edits.pose, model, driven, f"{pointer}/pose")
 

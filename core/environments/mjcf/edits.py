@@ -23,6 +23,7 @@ from core.environments.mjcf.edit_options import (
 )
 from core.environments.mjcf.model import compiled, name_parts
 from core.errors import JobFailed
+from core.physics.compiled.coverage import uncovered
 from core.physics.model import initial_qpos
 from core.reasons import Reason
 
@@ -69,6 +70,19 @@ def edit(spec: mujoco.MjSpec, edits: ModelEdits) -> None:
         spec.option.integrator = _INTEGRATORS[edits.integrator or "implicitfast"]
     if edits.pose is not None:
         add_pose(spec, edits.pose)
+
+
+def edits_for_compiled(spec: mujoco.MjSpec) -> ModelEdits | None:
+    """The least change of what collides with which the engine `compiled` runs the model; None if none helps.
+
+    The specification stays as it is. Raises JobFailed("bad_model") if it does not compile.
+    """
+    for fits in ([], [Fit()]):
+        edits = ModelEdits(floor=True, collide="floor", primitives=fits)
+        edit(changed := spec.copy(), edits)
+        if uncovered(compiled(changed)) is None:
+            return edits
+    return None
 
 
 # ---- what can touch ------------------------------------------------------------------------------

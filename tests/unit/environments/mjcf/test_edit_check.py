@@ -74,6 +74,12 @@ def test_what_is_not_there_is_told_with_its_place(
     assert len(found) <= 2
 
 
+def test_a_model_without_actuators_needs_servos() -> None:
+    bare = inventory(parts())
+    assert [problem.pointer for problem in problems(ModelEdits(), bare, "/edits")] == ["/edits/servos"]
+    assert list(problems(ModelEdits.model_validate({"servos": [SERVO]}), bare, "/edits")) == []
+
+
 @pytest.mark.parametrize(
     "changes",
     [

@@ -9,8 +9,9 @@ from pydantic import ValidationError
 
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.edit_options import HOME, Fit, ModelEdits, matching
-from core.environments.mjcf.edits import clearance, edit
+from core.environments.mjcf.edits import clearance, edit, edits_for_compiled
 from core.errors import JobFailed
+from core.physics.compiled.coverage import uncovered
 
 DOG = """
 <mujoco>
@@ -165,6 +166,27 @@ class TestCollisions:
         model = edited({"floor": True}, world='<geom name="floor" size=".1" contype="0" conaffinity="0"/>')
         assert model.geom("floor 2").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
         assert model.ngeom == edited({}).ngeom + 1
+
+
+def for_compiled(world: str = FLOOR, more: str = "") -> dict[str, Any] | None:
+    spec = mujoco.MjSpec.from_string(DOG.format(world=world, more=more))
+    edits = edits_for_compiled(spec)
+    assert spec.compile().npair == more.count("<pair")
+    return None if edits is None else edits.model_dump(exclude_defaults=True)
+
+
+def test_what_compiled_refuses_is_told_with_the_change_that_helps() -> None:
+    # Its trunk is a mesh; below, it is a box, and legs are cylinders that meet each other.
+    alone = {"floor": True, "collide": "floor"}
+    assert for_compiled() == {**alone, "primitives": [{}]}
+    assert for_compiled(world="") == {**alone, "primitives": [{}]}
+    spec = mujoco.MjSpec.from_string(DOG.format(world=FLOOR, more=""))
+    spec.geom("trunk").type, spec.geom("trunk").size = mujoco.mjtGeom.mjGEOM_BOX, [0.2, 0.1, 0.05]
+    spec.geom("left_leg").type = spec.geom("right_leg").type = mujoco.mjtGeom.mjGEOM_CYLINDER
+    assert uncovered(spec.copy().compile()) is not None
+    assert edits_for_compiled(spec) == ModelEdits.model_validate(alone)
+    tied = '<equality><connect body1="left_foot" body2="right_foot" anchor="0 0 0"/></equality>'
+    assert for_compiled(more=tied) is None
 
 
 class TestPrimitives:
