@@ -48,14 +48,15 @@ RUN apt-get update \
     && apt-get install -y --no-install-recommends binutils \
     && apt-get clean && rm -rf /var/lib/apt/lists/* /var/cache/apt/*.bin
 COPY pyproject.toml uv.lock ./
-# What nobody imports here: other packages' tests and their data, MuJoCo's studio for the browser, and the pitch and
-# the players of dm_control's football. And names for debuggers, a third of jaxlib; what auditwheel has rewritten
-# (*.libs) and what runs on GPUs stays as it is.
+# What nobody imports here: other packages' tests and their data, MuJoCo's studio for the browser, the pitch and the
+# players of dm_control's football, what its fly was built from, and an arm of mjlab's. And names for debuggers, a
+# third of jaxlib; what auditwheel has rewritten (*.libs) and what runs on GPUs stays as it is.
 RUN python -m uv venv /opt/gaitway \
     && printf '%s\n' '#!/bin/sh' \
     "find /opt/gaitway/lib -type d '(' -name tests -o -name SelfTest -o -path '*/mjx/test_data' \\" \
     "    -o -path '*/mujoco/experimental/studio' -o -path '*/dm_control/mujoco/testing' \\" \
-    "    -o -path '*/locomotion/soccer' ')' -prune -exec rm -r {} +" \
+    "    -o -path '*/locomotion/soccer' -o -path '*/assets/build_fruitfly' -o -path '*/onnx/backend/test' \\" \
+    "    -o -path '*/robots/i2rt_yam' ')' -prune -exec rm -r {} +" \
     "find /opt/gaitway/lib -name '*.so' -not -path '*.libs/*' -not -path '*/jax_plugins/*' \\" \
     "    -not -path '*/nvidia/*' -exec strip --strip-unneeded {} +" > /usr/local/bin/slim \
     && chmod +x /usr/local/bin/slim

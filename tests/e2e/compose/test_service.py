@@ -296,7 +296,8 @@ def test_a_second_machine_joins_over_tls(
         trusted = shared.compose("run", "--rm", "-T", "setup", "cat", "/run/gaitway/ca.pem")
         (second_machine.checkout / "ca.pem").write_text(trusted)
         second_machine.compose("up", "--detach", "--no-deps", "worker")
-        job = client.wait(client.submit(ROLLOUT).id, timeout=120)
+        # The API was started again with the stores' addresses.
+        job = client.wait(shared.wait_until_it_accepts(ROLLOUT, 60), timeout=120)
         assert job.succeeded, job.message
         (container,) = second_machine.containers("worker")
         assert (job.attempts[0].worker or "").startswith(container[:12])
