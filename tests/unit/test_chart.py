@@ -1,5 +1,6 @@
 """The chart for Kubernetes, rendered by Helm's own engine and held to Kubernetes' own schemas."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from core.configuration import names
 from core.devices import gpu_indices
 from gaitway.schema import SlotsView
 
-CHART = Path(__file__).parents[2] / "deploy/kubernetes/gaitway"
+ROOT = Path(__file__).parents[2]
+CHART = ROOT / "deploy/kubernetes/gaitway"
+(LAB,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs/clusters.md").read_text(), re.DOTALL)
 KUBERNETES = "1.37"
 # KEDA's own types are not in Kubernetes' schemas: the fields of its version 2 that the chart may use.
 SCALED_JOB = {
@@ -43,6 +46,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "with GPUs, by KEDA": {"workers": {"any": "gpu", "pools": {"gpu": GPUS}}},
     "with GPUs, as Jobs in a queue of Kueue": {"workers": {"start": "jobs", "pools": {"gpu": GPUS}}},
     "with stores of one's own": {"stores": {"secret": "lab-stores"}},
+    "as the page has it": yaml.safe_load(LAB),
     "open to a lab": {
         "image": {"registry": "registry.lab/gaitway", "tag": "main", "pullSecrets": ["registry"]},
         "api": {

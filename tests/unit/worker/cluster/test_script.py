@@ -1,5 +1,6 @@
 """The batch script, and the options of which it is made."""
 
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import pytest
 from core.errors import Misconfigured
 from core.jobs.slots import CPU, SlotKind
 from worker.cluster.checks import NodeGroup, what_is_wrong
-from worker.cluster.options import SlurmOptions, read_options, seconds_of
+from worker.cluster.options import SlurmOptions, Tunnel, read_options, seconds_of
 from worker.cluster.script import Place, script_of
 
 PLACE = Place(Path("/lab/me/cluster/settings"), Path("/lab/me/cluster/logs"), "gaitway worker")
@@ -106,6 +107,14 @@ def test_everything_that_the_file_says_is_in_the_script(tmp_path: Path) -> None:
     assert '-L "$sockets/.s.PGSQL.5432:/d/.s.PGSQL.5432" -L "127.0.0.1:${ports[0]}:127.0.0.1:8333"' in script
     assert "-i /lab/me/.ssh/gaitway -o IdentitiesOnly=yes" in script
     assert is_bash(script)
+
+
+def test_the_options_of_the_page_are_some(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[4] / "docs/clusters.md").read_text()
+    (tmp_path / "slurm.toml").write_text("\n".join(re.findall(r"```toml\n(.*?)```", page, re.DOTALL)))
+    found = read_options(tmp_path / "slurm.toml", {})
+    assert {(kind.gpus, kind.hosts) for kind in found.kinds} == {(0, 1), (1, 1), (4, 1), (1, 2), (4, 2)}
+    assert isinstance(found.tunnel, Tunnel)
 
 
 def test_a_gang_asks_for_its_hosts_and_starts_the_script_on_each_of_them() -> None:
