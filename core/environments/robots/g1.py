@@ -24,7 +24,9 @@ G1 = Robot(
     edits=ModelEdits(
         floor=True,
         feet=[".*_ankle_roll_link"],
-        collide="feet",
+        # Of a foot's seven capsules the two that are long and lie outside. The others reach 10 mm beyond them
+        # at most, and cost 41 % of the rate on a CPU: 49,000 steps/s with all, 84,000 with two.
+        collide=[".*_foot[26]_collision"],
         friction=0.6,
         servos=[
             _5020.servo([".*_elbow_joint", ".*_shoulder_.*_joint", ".*_wrist_roll_joint"]),
