@@ -163,5 +163,8 @@ def test_a_worker_without_the_files_says_what_to_install(monkeypatch: pytest.Mon
 
 def test_pip_is_told_the_version_that_is_locked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installation, "IS_WHEEL", True)
-    groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["dependency-groups"]
-    assert installation.to_install_robots() == f"pip install --no-deps {groups['robots'][0]}"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    (robots,) = project["dependency-groups"]["robots"]
+    assert installation.to_install_robots() == f"pip install --no-deps {robots}"
+    bare = {each["name"]: each for each in project["tool"]["uv"]["dependency-metadata"]}["mjlab"]
+    assert (f"mjlab=={bare['version']}", bare["requires-dist"]) == (robots, [])
