@@ -47,6 +47,9 @@ def inventory(model: mujoco.MjModel) -> Inventory:
         num_pairs=_num_pairs(model),
         colliders={name: _welded(model, geom) for geom in moving if (name := model.geom(geom).name)},
         num_fixed_colliders=len(fixed),
+        fixed_geoms=[
+            name for geom in np.flatnonzero(~moving_geoms(model)).tolist() if (name := model.geom(geom).name)
+        ],
     )
 
 
@@ -55,8 +58,13 @@ def touchable(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
     of the world."""
     can = (model.geom_contype | model.geom_conaffinity) != 0
     can[[*model.pair_geom1, *model.pair_geom2]] = True
-    moves = model.body_weldid[model.geom_bodyid] != 0
+    moves = moving_geoms(model)
     return np.flatnonzero(can & moves).tolist(), np.flatnonzero(can & ~moves).tolist()
+
+
+def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """[ngeom]: whether joints move it. Those of the world and of mocap bodies are not moved by any."""
+    return model.body_dofnum[model.body_weldid[model.geom_bodyid]] > 0
 
 
 def _welded(model: mujoco.MjModel, geom: int) -> list[str]:

@@ -20,7 +20,7 @@ def problems(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Prob
         yield from _of_patterns(fit.geoms, model.geoms, "geom", f"{pointer}/primitives/{number}/geoms")
     yield from _of_feet(edits, model, pointer)
     if isinstance(edits.collide, list):
-        yield from _of_patterns(edits.collide, model.geoms, "geom", f"{pointer}/collide")
+        yield from _of_patterns(edits.collide, _moving(model), "moving geom", f"{pointer}/collide")
     for number, servo in enumerate(edits.servos):
         yield from _of_patterns(servo.joints, driven, "hinge or slide", f"{pointer}/servos/{number}/joints")
         yield from _without_stiffness(servo, model, f"{pointer}/servos/{number}/kp")
@@ -142,6 +142,11 @@ def _actuators(model: Inventory, servos: Sequence[Servo]) -> list[Actuator]:
     return [*kept, *(Actuator(name=name, joint=joint) for joint, name in names.items())]
 
 
+def _moving(model: Inventory) -> list[str]:
+    fixed = set(model.fixed_geoms)
+    return [name for name in model.geoms if name not in fixed]
+
+
 def _needs_floor(model: Inventory, edits: ModelEdits) -> bool:
     return edits.floor and not model.num_fixed_colliders
 
@@ -160,4 +165,4 @@ def _num_pairs(model: Inventory, edits: ModelEdits) -> int | None:
             feet = set(matching(edits.feet or [], model.bodies))
             return num_fixed * sum(bool(feet & set(bodies)) for bodies in model.colliders.values())
         case patterns:
-            return num_fixed * len(matching(patterns, model.geoms))
+            return num_fixed * len(matching(patterns, _moving(model)))

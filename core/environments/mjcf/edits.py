@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from core.environments.mjcf.describe import moving_geoms
 from core.environments.mjcf.edit_options import (
     HOME,
     Collide,
@@ -364,5 +365,5 @@ def near_world(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[mujoco.MjData, 
     mujoco.mj_kinematics(near, data)
     mujoco.mj_comPos(near, data)
     mujoco.mj_collision(near, data)
-    is_fixed = model.body_weldid[model.geom_bodyid] == 0
-    return data, [contact for contact in data.contact if is_fixed[list(contact.geom)].any()]
+    moves = moving_geoms(model)
+    return data, [contact for contact in data.contact if not moves[list(contact.geom)].all()]

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.environments.mjcf.describe import touchable
+from core.environments.mjcf.describe import moving_geoms, touchable
 from core.environments.mjcf.edit_options import matching
 from core.environments.mjcf.edits import near_world
 
@@ -63,7 +63,7 @@ def _foot(
 def _point_of(contact: Any, model: mujoco.MjModel) -> np.ndarray:
     """The point of a contact on its moving geom, [3]: half the distance from the middle, along the normal,
     which goes from the first geom to the second."""
-    is_second = model.body_weldid[model.geom_bodyid[contact.geom[1]]] != 0
+    is_second = moving_geoms(model)[contact.geom[1]]
     return contact.pos + (0.5 if is_second else -0.5) * contact.dist * contact.frame[:3]
 
 

@@ -58,7 +58,8 @@ class Inventory(Stored):
     travels: whether it can leave its place. initial_height: the root's in metres, in the initial state.
     num_pairs: pairs of geoms that may touch, up to 10,000; None for models described before it was counted.
     colliders: by name, the moving geoms that can touch something, each with its body and those that this one
-    is welded to; None as above. num_fixed_colliders: geoms of the world that can be touched.
+    is welded to; None as above. num_fixed_colliders: geoms of the world that can be touched. fixed_geoms: by
+    name, all of the world.
     """
 
     joints: list[Joint]
@@ -78,6 +79,7 @@ class Inventory(Stored):
     num_pairs: int | None = None
     colliders: dict[str, list[str]] | None = None
     num_fixed_colliders: int = 0
+    fixed_geoms: list[str] = []
 
     @property
     def body_size(self) -> BodySize | None:

@@ -15,6 +15,8 @@ from core.environments.mjcf.feet import feet_of
 from tests.unit.environments.mjcf.test_edits import DOG, FLOOR, MOTORS, SERVO
 from tests.unit.environments.mjcf.test_edits import edited as compiled
 
+TARGET = '<body name="target" mocap="true"><geom name="target" size=".1"/></body>'
+
 
 def parts(more: str = "", world: str = FLOOR) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_string(DOG.format(world=world, more=more))
@@ -87,10 +89,10 @@ def test_a_model_without_actuators_needs_servos() -> None:
         {"floor": True, "servos": [{**SERVO, "joints": [".*"]}], "pose": {"joints": {".*": 0.1}}},
         {"collide": "feet", "feet": [".*_foot"]},
         {"collide": "floor", "servos": [{"joints": ["left.*"]}], "pose": {"keyframe": "up"}},
-        {"collide": [".*_leg"]},
+        {"collide": [".*"]},
     ],
 )
-@pytest.mark.parametrize("world", [FLOOR, ""], ids=["floor", "no floor"])
+@pytest.mark.parametrize("world", [FLOOR, "", FLOOR + TARGET], ids=["floor", "no floor", "mocap"])
 def test_the_parts_after_changes_are_those_of_the_compiled_model(changes: dict[str, Any], world: str) -> None:
     edits = ModelEdits.model_validate(changes)
     before = inventory(parts(MOTORS, world))
