@@ -311,7 +311,7 @@ def test_a_second_machine_joins_over_tls(
         with second_machine.client() as elsewhere:
             reached_again(elsewhere, job)
     finally:
-        project.compose("up", "--detach")
+        project.compose("up", "--detach", "--wait")
 
 
 WITH_PASSWORD = "PGPASSWORD=$(cat /run/database/password)"
@@ -333,7 +333,7 @@ def test_a_backup_is_restored_elsewhere(
     with removing(Project(checkout, project.settings)) as other:
         other.compose("run", "--rm", "-T", "setup", "tar", "-C", "/volumes", "-x", stdin=backup)
         other.compose("up", "--detach", "--wait", "postgres", "valkey", "objects")
-        restoring = f"{WITH_PASSWORD} pg_restore {AS} --clean --if-exists --no-owner"
+        restoring = f"{WITH_PASSWORD} pg_restore {AS} --clean --if-exists --no-owner --no-privileges"
         other.compose("exec", "-T", "postgres", "sh", "-c", restoring, stdin=record)
         checking = ("run", "--rm", "-T", "--no-deps", "reconciler", "gaitway", "check")
         assert "the bucket lacks" not in other.compose(*checking)
