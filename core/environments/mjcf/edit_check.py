@@ -11,6 +11,8 @@ from core.nearest import nearest
 
 _MAX_NAMES = 20
 _DRIVEN = ("hinge", "slide")
+# rad or m: poses are written with fewer digits than ranges.
+_SLACK = 1e-2
 
 
 def problems(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Problem]:
@@ -64,8 +66,8 @@ def _of_pose(pose: Pose, model: Inventory, driven: Sequence[str], pointer: str) 
         named = ", ".join(name[:LONGEST_NAME] for name in islice(filter(None, model.keyframes), _MAX_NAMES))
         has = f"it has {named}" if named else "it has none with a name"
         yield Problem(f"{pointer}/keyframe", f"The model has no keyframe {pose.keyframe!r}; {has}.")
-    before = dict[str, str]()
-    for pattern in pose.joints:
+    before, ranges = dict[str, str](), {joint.name: joint.range for joint in model.joints}
+    for pattern, value in pose.joints.items():
         here = f"{pointer}/joints/{pattern.replace('~', '~0').replace('/', '~1')}"
         yield from _of_pattern(pattern, driven, "hinge or slide", here)
         for joint in matching([pattern], driven):
@@ -73,6 +75,11 @@ def _of_pose(pose: Pose, model: Inventory, driven: Sequence[str], pointer: str) 
                 yield Problem(here, f"The joint {joint!r} has a position by {before[joint]!r} already.")
                 break
             before[joint] = pattern
+            if (within := ranges[joint]) and not within[0] - _SLACK <= value <= within[1] + _SLACK:
+                low, high = within
+                detail = f"The joint {joint!r} goes from {low:.4g} to {high:.4g}, and not to {value:g}."
+                yield Problem(here, detail)
+                break
 
 
 def _named_twice(servos: Sequence[Servo], driven: Sequence[str], pointer: str) -> Iterator[Problem]:

@@ -10,6 +10,7 @@ import numpy as np
 from core.environments.mjcf.edit_options import HOME, ModelEdits, matching
 from core.environments.mjcf.edits import clearance
 from core.errors import Problem
+from core.physics.model import initial_qpos
 
 # A second of a coarse timestep. Gains that are too large for a timestep blow up with each step, so that more
 # of them say nothing new.
@@ -20,14 +21,15 @@ _GROWTH = 10.0
 # Of kp: less would hold no robot.
 _LEAST_SHARE = 1e-4
 _BISECTIONS = 12
-_MOST_TIME_S = 1.5
+# For the servos as they are, and to find what holds; a model that is too slow for this is not judged.
+_MOST_TIME_S, _MOST_TIME_OF_SEARCH_S = 1.0, 1.5
 # A foot that is deeper in the floor is thrown out of it. MuJoCo's contacts themselves give some millimetres.
 _DEEPEST_M = 0.01
 
 
 def problems(model: mujoco.MjModel, edits: ModelEdits, pointer: str) -> Iterator[Problem]:
     """What is wrong with the pose and the servos of a model that these changes made. pointer: theirs."""
-    qpos = model.key(HOME).qpos if edits.pose is not None else model.qpos0
+    qpos = model.key(HOME).qpos if edits.pose is not None else initial_qpos(model)
     if edits.pose is not None:
         yield from _under_the_floor(model, edits, qpos, pointer)
     if edits.servos:
@@ -53,7 +55,7 @@ def _under_the_floor(
 
 
 def _unstable(model: mujoco.MjModel, edits: ModelEdits, qpos: np.ndarray, pointer: str) -> Iterator[Problem]:
-    actuator = blows_up(model, qpos)
+    actuator = blows_up(model, qpos, until=time.monotonic() + _MOST_TIME_S)
     if actuator is None:
         return
     joint = model.joint(model.actuator_trnid[actuator, 0]).name
@@ -76,9 +78,11 @@ def _unstable(model: mujoco.MjModel, edits: ModelEdits, qpos: np.ndarray, pointe
     )
 
 
-def blows_up(model: mujoco.MjModel, qpos: np.ndarray, share: float = 1.0) -> int | None:
+def blows_up(
+    model: mujoco.MjModel, qpos: np.ndarray, share: float = 1.0, until: float = float("inf")
+) -> int | None:
     """The servo whose joint swings most where servos, in the air and without friction, do not hold this pose;
-    None if they hold it. share: of each kp, with the same damping ratio.
+    None if they hold it. share: of each kp, with the same damping ratio. until: by the monotonic clock.
 
     Two motions that begin close to each other are compared, so that springs and weights do not count.
     """
@@ -91,6 +95,8 @@ def blows_up(model: mujoco.MjModel, qpos: np.ndarray, share: float = 1.0) -> int
         data.qpos[:], data.ctrl[servos] = qpos, qpos[addresses]
     other.qpos[addresses] += _APART * np.random.default_rng(0).choice([-1.0, 1.0], servos.size)
     for _ in range(min(_MOST_STEPS, round(_SECONDS / model.opt.timestep))):
+        if time.monotonic() > until:
+            break
         mujoco.mj_step(alone, one)
         mujoco.mj_step(alone, other)
         apart = np.abs(other.qpos[addresses] - one.qpos[addresses])
@@ -104,15 +110,16 @@ def blows_up(model: mujoco.MjModel, qpos: np.ndarray, share: float = 1.0) -> int
 def largest_stable(model: mujoco.MjModel, qpos: np.ndarray) -> float | None:
     """The largest share of each kp, with the same damping ratio, that holds the pose; None: none does. Less
     than that where finding it takes too long."""
-    end = time.monotonic() + _MOST_TIME_S
+    until = time.monotonic() + _MOST_TIME_OF_SEARCH_S
     low, high = _LEAST_SHARE, 1.0
-    if blows_up(model, qpos, low) is not None:
+    if blows_up(model, qpos, low, until) is not None:
         return None
     for _ in range(_BISECTIONS):
-        if time.monotonic() > end:
-            break
         middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if blows_up(model, qpos, middle) is not None else (middle, high)
+        bursts = blows_up(model, qpos, middle, until) is not None
+        if time.monotonic() > until:
+            break
+        low, high = (low, middle) if bursts else (middle, high)
     return low
 
 

@@ -22,7 +22,7 @@ DOG = """
       <freejoint/>
       <geom name="trunk" type="mesh" mesh="brick" mass="2"/>
       <body name="left" pos="0 .2 0">
-        <joint name="left_hip" axis="0 1 0" armature=".01" damping=".3"/>
+        <joint name="left_hip" axis="0 1 0" range="-90 90" armature=".01" damping=".3"/>
         <geom name="left_leg" type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/>
         <body name="left_foot" pos="0 0 -.3"><geom size=".03" mass=".1"/></body>
       </body>
