@@ -1,5 +1,6 @@
 """Changes of a model before it is compiled: servos, contacts, shapes, floor, pose; no numerical code."""
 
+import re
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -10,26 +11,46 @@ from pydantic_core import SchemaError, SchemaValidator, core_schema
 from core.bounds import LONGEST_NAME, MOST_MEMBERS, Real
 from core.documents import Strict
 
+# ASCII alone: with all of Unicode's letters, a page of `\w` would take gigabytes.
+_CLASSES = {"d": "[0-9]", "w": "[0-9A-Za-z_]"}
+_COUNTS = "a pattern cannot count repetitions: write `..` for `.{2}`"
+_SYNTAX = (
+    r"a pattern has letters, `.`, `*`, `+`, `?`, `|`, `[…]`, `(…)`, `\d`, `\w` and escaped punctuation, "
+    "but no look-ahead, back-reference or flag"
+)
+
 
 @lru_cache(maxsize=256)
 def _matcher(pattern: str) -> SchemaValidator:
-    """Rust's regular expressions, as pydantic has them: their time grows with the name alone, whatever the
-    pattern. Raises SchemaError."""
+    """Of whole names, by Rust's regular expressions, as pydantic has them: their time grows with the name
+    alone, whatever the pattern. Raises SchemaError, and ValueError for what we do not take."""
+    if "{" in pattern:
+        raise ValueError(_COUNTS)
+    if re.search(r"\(\?(?!:)", re.sub(r"\\.", "", pattern)):
+        raise ValueError(_SYNTAX)
+    ours = re.sub(r"\\(.)", _escaped, pattern)
+    _compiled(ours)  # By itself: `a)|(b` is none, but would be one in parentheses.
+    return _compiled(f"^(?:{ours})$")
+
+
+def _compiled(pattern: str) -> SchemaValidator:
     return SchemaValidator(core_schema.str_schema(pattern=pattern, regex_engine="rust-regex"))
 
 
+def _escaped(found: re.Match[str]) -> str:
+    if found[1] in _CLASSES:
+        return _CLASSES[found[1]]
+    if found[1].isalnum():
+        raise ValueError(_SYNTAX)
+    return found[0]
+
+
 def _is_regular(pattern: str) -> str:
-    if "{" in pattern:
-        raise ValueError("a pattern cannot count repetitions: write `..` for `.{2}`")
     try:
         _matcher(pattern)
-        _matcher(f"^(?:{pattern})$")
     except SchemaError as error:
         why = str(error).strip().splitlines()[-1].removeprefix("error: ")
-        raise ValueError(
-            f"{pattern[:40]!r} is no regular expression ({why}); there is no look-ahead, look-behind or "
-            "back-reference"
-        ) from None
+        raise ValueError(f"{pattern[:40]!r} is no regular expression: {why}") from None
     return pattern
 
 
@@ -45,13 +66,17 @@ PATTERNS = "Each is a name, or a regular expression that matches whole names."
 
 def matches(pattern: str, name: str) -> bool:
     """Whether a valid pattern is the name, or matches all of it."""
-    return pattern == name or _matcher(f"^(?:{pattern})$").isinstance_python(name)
+    return pattern == name or _matcher(pattern).isinstance_python(name)
 
 
 def matching(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
     """The names that some pattern matches, in their own order. Parts without a name are never matched."""
-    several = list(patterns)
-    return [name for name in names if name and any(matches(pattern, name) for pattern in several)]
+    matchers = [(pattern, _matcher(pattern)) for pattern in patterns]
+    return [
+        name
+        for name in names
+        if name and any(name == pattern or matcher.isinstance_python(name) for pattern, matcher in matchers)
+    ]
 
 
 def floor_name(geoms: Sequence[str]) -> str:

@@ -253,9 +253,19 @@ class TestPatterns:
             "knee(1)"
         ]  # A name is itself, whatever it means as a pattern.
         assert matching(["a|hip", ".*"], names) == names[:3]
+        assert matching([r"foot\d_[\w]+\."], ["foot1_in.", "footx_in.", "foot٣_in."]) == ["foot1_in."]
 
     @pytest.mark.parametrize(
-        ("pattern", "why"), [("(", "unclosed"), ("(?=a)", "look"), (r"(a)\1", "back"), ("a{9}", "count")]
+        ("pattern", "why"),
+        [
+            ("(", "unclosed"),
+            ("a)|(b", "unopened"),
+            ("(?=a)", "look"),
+            ("(?i)a", "flag"),
+            (r"(a)\1", "back"),
+            (r"\pL", "letters"),
+            ("a{9}", "count"),
+        ],
     )
     def test_what_is_none_is_refused(self, pattern: str, why: str) -> None:
         with pytest.raises(ValidationError, match=why):
