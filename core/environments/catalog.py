@@ -28,6 +28,7 @@ from core.environments.locomotion.info import (
     WALKER2D,
 )
 from core.environments.mjcf.info import INFO as MJCF
+from core.environments.robots.info import INFOS as ROBOTS
 from core.errors import EnvironmentNotFound, Problem, Rejected
 from core.nearest import nearest
 
@@ -40,6 +41,7 @@ BUILT_IN: dict[str, EnvironmentInfo] = {
     for info in (
         *(ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, CORRIDOR, INVERTED_PENDULUM, REACHER),
         *BRITTLE_STARS,
+        *ROBOTS,
         MJCF,
     )
 }
@@ -87,12 +89,19 @@ def _known(environment_id: str) -> str:
 def parse_options(info: EnvironmentInfo, options: Mapping[str, object]) -> Strict:
     """The environment's own options, defaults filled in. Raises Rejected, with every wrong field."""
     try:
-        return info.options.model_validate(dict(options))
+        parsed = info.options.model_validate(dict(options))
     except ValidationError as error:
         wrong = error.errors(include_url=False)[:MOST_PROBLEMS]
         problems = [_problem(info, _place(details, options), details["msg"]) for details in wrong]
-        sentences = " ".join(problem.detail for problem in problems)
-        raise Rejected(f"The options of {info.id!r} are not valid. {sentences}", problems) from None
+        raise _refusal(info, problems) from None
+    if info.check is not None and (problems := list(info.check(parsed))):
+        raise _refusal(info, problems)
+    return parsed
+
+
+def _refusal(info: EnvironmentInfo, problems: list[Problem]) -> Rejected:
+    sentences = " ".join(problem.detail for problem in problems)
+    return Rejected(f"The options of {info.id!r} are not valid. {sentences}", problems)
 
 
 def resolve(environment_id: str, options: Mapping[str, object]) -> tuple[EnvironmentInfo, Strict]:

@@ -11,6 +11,10 @@ from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.mjcf.describe import inventory
+from core.environments.mjcf.model import compiled
+from core.environments.robots.info import ROBOTS
+from core.environments.robots.info import TABLE as ROBOTS_TABLE
+from core.environments.robots.model import spec
 from core.physics.choose import engine_builder
 
 _OBSERVES_BODIES = ("humanoid", "rodent")
@@ -51,5 +55,14 @@ def _model(environment: str) -> mujoco.MjModel:
     return make(*resolve(environment, {}), engine_builder("native")).model
 
 
+def robots() -> dict[str, Any]:
+    """The inventory of each robot's model as it is trained."""
+    return {
+        name: inventory(compiled(spec(robot))).model_dump(mode="json", exclude_defaults=True)
+        for name, robot in ROBOTS.items()
+    }
+
+
 if __name__ == "__main__":
     TABLE.write_text(json.dumps(table(), indent=1) + "\n")
+    ROBOTS_TABLE.write_text(json.dumps(robots(), indent=1) + "\n")

@@ -3,11 +3,12 @@
 They need no loading: the API reads them and imports no numerical code.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from core.documents import Strict
+from core.errors import Problem
 from core.physics.availability import EngineName, Rule
 
 
@@ -117,7 +118,8 @@ class EnvironmentInfo:
     free_in_rollouts: options that a rollout may change from those that its policy was trained with.
     vary: the fields above that some options change, by name; the row itself has their values under the
     default options. slices: the numbers of an observation and an action under these options; None where they
-    are not known. chosen: the options that the row describes; None: the default ones.
+    are not known. chosen: the options that the row describes; None: the default ones. check: what is wrong
+    with options that are valid each by itself.
     """
 
     id: str
@@ -144,6 +146,7 @@ class EnvironmentInfo:
     vary: Callable[[Any], Mapping[str, Any]] | None = None
     slices: Callable[[Any], Spaces] | None = None
     chosen: Strict | None = None
+    check: Callable[[Any], Sequence[Problem]] | None = None
 
     @property
     def family(self) -> str:

@@ -12,7 +12,8 @@ from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.check import problems
-from core.environments.mjcf.info import MjcfOptions, mjcf_slices
+from core.environments.mjcf.info import MjcfOptions
+from core.environments.terms.task import task_slices
 from core.errors import EnvironmentNotFound, ModelNotFound, Problem, Rejected
 from core.jobs.job import Job
 from core.jobs.spec import Accelerator, EnvironmentSpec, JobSpec, TrainSpec
@@ -87,12 +88,12 @@ def resolve_environment(
 def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Description) -> EnvironmentInfo:
     """The catalog's row, with the values that depend on the model."""
     has = description.inventory
-    spaces = mjcf_slices(options, has)
+    spaces = task_slices(options, has)
     return replace(
         info,
         observation_size=spaces.observation_size,
         action_size=has.sizes.nu,
-        slices=partial(mjcf_slices, model=has),
+        slices=partial(task_slices, model=has),
         cameras=tuple(has.cameras),
         cannot_run=engines_that_cannot(description, options),
     )

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from core.environments.mjcf.describe import can_go_forward, inventory, root_of
-from core.environments.mjcf.info import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, is_to_sleep, read
 from core.environments.terms.inventory import Inventory
+from core.environments.terms.task import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.errors import BadModel
 from core.physics.availability import EngineName
 from core.physics.compiled.refusal import check_covered

@@ -280,6 +280,52 @@ RODENT: Mapping[Device, PPOSpec] = {
 }
 
 
+_JOYSTICK: Mapping[str, Any] = {
+    "num_evals": 2,
+    "num_eval_envs": 128,
+    "num_updates_per_batch": 4,
+    "learning_rate": 1e-3,
+    "learning_rate_schedule": "LINEAR",
+    "entropy_cost": 5e-3,
+    "discounting": 0.985,
+    "reward_scaling": 0.15,
+    "clipping_epsilon": 0.2,
+    "max_grad_norm": 1.0,
+    "normalize_observations": True,
+    "activation": "elu",
+    "bootstrap_on_timeout": True,
+    "random_initial_episode_length": True,
+}
+
+
+def _joystick(steps: int, steps_on_a_cpu: int) -> Mapping[Device, PPOSpec]:
+    """The values for a robot that walks by command."""
+    on_a_gpu = {
+        "num_envs": 8192,
+        "unroll_length": 12,
+        "batch_size": 2048,
+        "num_minibatches": 8,
+        "policy_hidden_layer_sizes": [256, 256, 128],
+        "value_hidden_layer_sizes": [256, 256, 128],
+    }
+    on_a_cpu = {
+        "num_envs": 256,
+        "unroll_length": 16,
+        "batch_size": 256,
+        "num_minibatches": 8,
+        "policy_hidden_layer_sizes": [128, 128, 64],
+        "value_hidden_layer_sizes": [128, 128, 64],
+    }
+    return {
+        "cpu": PPOSpec.model_validate({**_JOYSTICK, **on_a_cpu, "num_timesteps": steps_on_a_cpu}),
+        "gpu": PPOSpec.model_validate({**_JOYSTICK, **on_a_gpu, "num_timesteps": steps}),
+    }
+
+
+G1 = _joystick(100_000_000, 20_000_000)
+GO1 = _joystick(60_000_000, 6_000_000)
+
+
 def corridor(options: CorridorOptions) -> Mapping[Device, PPOSpec]:
     """The values for a walker in a corridor.
 
@@ -324,6 +370,8 @@ PLAYGROUND = _read()
 
 _BY_ENVIRONMENT: dict[str, Mapping[Device, PPOSpec]] = {
     "ant": ANT,
+    "g1": G1,
+    "go1": GO1,
     "half_cheetah": HALF_CHEETAH,
     "hopper": HOPPER,
     "humanoid": HUMANOID,

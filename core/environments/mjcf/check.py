@@ -1,15 +1,19 @@
 """Whether the terms of a job fit the model that it names."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from itertools import islice
 
 from core.bounds import LONGEST_NAME, MOST_OBSERVED, MOST_PROBLEMS
 from core.documents import Strict
-from core.environments.mjcf.info import MjcfOptions, Reset, observed
+from core.environments.patterns import matching
+from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.inventory import Inventory, Kind
+from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture
 from core.environments.terms.observations import Activation, Qpos, Sensors
 from core.environments.terms.rewards import Contact, Distance, ForwardVelocity, JointLimits, VelocityTracking
+from core.environments.terms.task import Reset, TaskOptions, observed, parts_of
+from core.environments.terms.term import Need, Term
 from core.environments.terms.terminations import Touching
 from core.errors import Problem
 from core.nearest import nearest
@@ -60,16 +64,18 @@ class _Parts:
         return frozenset(joint.body for joint in self.model.joints if joint.type == "free")
 
 
-def problems(options: MjcfOptions, model: Inventory) -> list[Problem]:
+def problems(options: TaskOptions, model: Inventory) -> list[Problem]:
     """Places where the options name something that the model does not have, up to fifty."""
     found = list(islice(_of_options(options, _Parts(model)), MOST_PROBLEMS))
-    if not found and (number := sum(term.size(model) for term in observed(options))) > MOST_OBSERVED:
+    seen_by = parts_of(options, model)
+    number = 0 if found else sum(term.size(seen_by) for term in observed(options))
+    if number > MOST_OBSERVED:
         detail = f"The observation has {number:,} numbers; at most {MOST_OBSERVED:,} are allowed."
         return [Problem(f"{_OPTIONS}/observation", detail)]
     return found
 
 
-def _of_options(options: MjcfOptions, parts: _Parts) -> Iterator[Problem]:
+def _of_options(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     model = parts.model
     yield from _of_name(options.root, f"{_OPTIONS}/root", "body", parts)
     for field in ("reward", "observation", "termination"):
@@ -81,11 +87,78 @@ def _of_options(options: MjcfOptions, parts: _Parts) -> Iterator[Problem]:
                 yield from _of_root(options.root or model.root, here, parts)
             if isinstance(term, ForwardVelocity | VelocityTracking | Distance):
                 yield from _of_movement(term, options.root or model.root, here, parts)
+    yield from _of_needs(options, parts)
+    yield from _of_patterns(options, parts)
     yield from _of_reset(options.reset, model)
+
+
+def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
+    """Terms without what they need, and a command and a clock that fit nothing."""
+    root = options.root or parts.model.root
+    has: dict[Need, bool] = {
+        "command": options.command is not None,
+        "feet": bool(options.feet),
+        "free_root": root in parts.free,
+        "gait": options.gait is not None,
+    }
+    for pointer, term in _terms(options):
+        for need in sorted(term.needs - {need for need, is_there in has.items() if is_there}):
+            kind = getattr(term, "kind", "")
+            yield Problem(pointer, f"The term {kind} needs {_NEEDED[need].format(root=root)}.")
+    if options.events and not has["free_root"]:
+        yield Problem(f"{_OPTIONS}/events", f"A push needs {_NEEDED['free_root'].format(root=root)}.")
+    if options.command and not any("command" in term.needs for term in options.reward or ()):
+        yield Problem(
+            f"{_OPTIONS}/command", "No term of the reward reads the command, so nothing would follow it."
+        )
+    for number, name in enumerate(options.feet):
+        yield from _of_name(name, f"{_OPTIONS}/feet/{number}", "body", parts)
+    if options.gait and len(options.gait.offsets) != len(options.feet):
+        yield Problem(
+            f"{_OPTIONS}/gait/offsets",
+            f"The clock has {len(options.gait.offsets)} offsets, and the task {len(options.feet)} feet.",
+        )
+
+
+_NEEDED: dict[Need, str] = {
+    "command": "a `command`",
+    "feet": "`feet`",
+    "free_root": "a free joint of the root, and the body {root!r} has none",
+    "gait": "a `gait`",
+}
+
+
+def _terms(options: TaskOptions) -> Iterator[tuple[str, Term]]:
+    """All terms, with their pointers."""
+    for field in ("reward", "observation", "termination"):
+        terms: Sequence[Term] = getattr(options, field) or ()
+        for number, term in enumerate(terms):
+            yield f"{_OPTIONS}/{field}/{number}", term
+
+
+def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
+    """Patterns of joints that match none."""
+    joints = [joint.name for joint in parts.model.moving_joints()]
+    asked: list[tuple[str, Iterable[str]]] = []
+    for here, term in _terms(options):
+        if isinstance(term, Posture):
+            asked.append((f"{here}/weights", term.weights))
+        if isinstance(term, JointPositions | JointVelocities):
+            asked.append((f"{here}/joints", term.joints or ()))
+    if isinstance(options.action, JointPositionAction) and isinstance(options.action.scale, dict):
+        asked.append((f"{_OPTIONS}/action/scale", options.action.scale))
+    for pointer, patterns in asked:
+        for pattern in patterns:
+            if not matching([pattern], joints):
+                near = nearest(pattern, dict.fromkeys(joints), number=2, cutoff=0.5)
+                hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else "."
+                yield Problem(pointer, f"No hinge or slide of the model matches {pattern!r}{hint}")
 
 
 def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:
     for field, kind in _NAMING.items():
+        if field == "joints" and isinstance(term, JointPositions | JointVelocities):
+            continue  # These are patterns.
         named: str | list[str] | None = getattr(term, field, None)
         if isinstance(named, list):
             for number, name in enumerate(named):

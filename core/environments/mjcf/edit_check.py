@@ -4,7 +4,8 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 
 from core.bounds import LONGEST_NAME
-from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, floor_name, matches, matching
+from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, floor_name
+from core.environments.patterns import matches, matching
 from core.environments.terms.inventory import Actuator, Inventory
 from core.errors import Problem
 from core.nearest import nearest

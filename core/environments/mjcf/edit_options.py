@@ -1,82 +1,19 @@
 """Changes of a model before it is compiled: servos, contacts, shapes, floor, pose; no numerical code."""
 
-import re
-from collections.abc import Iterable, Sequence
-from functools import lru_cache
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
-from pydantic_core import SchemaError, SchemaValidator, core_schema
+from pydantic import Field
 
 from core.bounds import LONGEST_NAME, MOST_MEMBERS, Real
 from core.documents import Strict
+from core.environments.patterns import PATTERNS, Pattern, Patterns
 
-# ASCII alone: with all of Unicode's letters, a page of `\w` would take gigabytes.
-_CLASSES = {"d": "[0-9]", "w": "[0-9A-Za-z_]"}
-_COUNTS = "a pattern cannot count repetitions: write `..` for `.{2}`"
-_SYNTAX = (
-    r"a pattern has letters, `.`, `*`, `+`, `?`, `|`, `[…]`, `(…)`, `\d`, `\w` and escaped punctuation, "
-    "but no look-ahead, back-reference or flag"
-)
-
-
-@lru_cache(maxsize=256)
-def _matcher(pattern: str) -> SchemaValidator:
-    """Of whole names, by Rust's regular expressions, as pydantic has them: their time grows with the name
-    alone, whatever the pattern. Raises SchemaError, and ValueError for what we do not take."""
-    if "{" in pattern:
-        raise ValueError(_COUNTS)
-    if re.search(r"\(\?(?!:)", re.sub(r"\\.", "", pattern)):
-        raise ValueError(_SYNTAX)
-    ours = re.sub(r"\\(.)", _escaped, pattern)
-    _compiled(ours)  # By itself: `a)|(b` is none, but would be one in parentheses.
-    return _compiled(f"^(?:{ours})$")
-
-
-def _compiled(pattern: str) -> SchemaValidator:
-    return SchemaValidator(core_schema.str_schema(pattern=pattern, regex_engine="rust-regex"))
-
-
-def _escaped(found: re.Match[str]) -> str:
-    if found[1] in _CLASSES:
-        return _CLASSES[found[1]]
-    if found[1].isalnum():
-        raise ValueError(_SYNTAX)
-    return found[0]
-
-
-def _is_regular(pattern: str) -> str:
-    try:
-        _matcher(pattern)
-    except SchemaError as error:
-        why = str(error).strip().splitlines()[-1].removeprefix("error: ")
-        raise ValueError(f"{pattern[:40]!r} is no regular expression: {why}") from None
-    return pattern
-
-
-Pattern = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME), AfterValidator(_is_regular)]
-Patterns = Annotated[list[Pattern], Field(min_length=1, max_length=MOST_MEMBERS)]
 # The keyframe of a pose.
 HOME = "home"
 # Of a servo that does not say its gains: kp / effort in 1/rad, and kd / kp in s. Of ten quadrupeds of 12 to
 # 127 kg, eight then stand within 0.3 rad of their poses; with half as much two do, and three tip over.
 _PER_EFFORT, _DAMPING_S = 2.0, 0.04
-PATTERNS = "Each is a name, or a regular expression that matches whole names."
-
-
-def matches(pattern: str, name: str) -> bool:
-    """Whether a valid pattern is the name, or matches all of it."""
-    return pattern == name or _matcher(pattern).isinstance_python(name)
-
-
-def matching(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
-    """The names that some pattern matches, in their own order. Parts without a name are never matched."""
-    matchers = [(pattern, _matcher(pattern)) for pattern in patterns]
-    return [
-        name
-        for name in names
-        if name and any(name == pattern or matcher.isinstance_python(name) for pattern, matcher in matchers)
-    ]
 
 
 def floor_name(geoms: Sequence[str]) -> str:

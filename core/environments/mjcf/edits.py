@@ -14,15 +14,13 @@ from core.environments.mjcf.edit_options import (
     Collide,
     Fit,
     ModelEdits,
-    Patterns,
     Pose,
     Servo,
     floor_name,
     gains,
-    matches,
-    matching,
 )
 from core.environments.mjcf.model import compiled, name_parts
+from core.environments.patterns import Patterns, matches, matching
 from core.errors import JobFailed
 from core.physics.compiled.coverage import uncovered
 from core.physics.model import initial_qpos

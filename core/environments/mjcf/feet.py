@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from core.environments.mjcf.describe import moving_geoms, touchable
-from core.environments.mjcf.edit_options import matching
 from core.environments.mjcf.edits import near_world
+from core.environments.patterns import matching
 
 # m: points of a sole are at most so much above its lowest one.
 _FLAT = 0.005

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from core.environments.mjcf.edit_options import HOME, ModelEdits, matching
+from core.environments.mjcf.edit_options import HOME, ModelEdits
 from core.environments.mjcf.edits import clearance
+from core.environments.patterns import matching
 from core.errors import Problem
 from core.physics.model import initial_qpos
 

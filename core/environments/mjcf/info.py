@@ -1,139 +1,22 @@
 """The catalog's row of a user's own model."""
 
-from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from core.bounds import MOST_ITEMS, Real
-from core.documents import Strict
-from core.environments.info import EnvironmentInfo, Spaces, in_order, named
-from core.environments.options import NoiseScale
-from core.environments.terms.inventory import Inventory
-from core.environments.terms.observations import AnyObservation, ObservationTerm, Qpos, Qvel, Sensors
-from core.environments.terms.rewards import AnyReward
-from core.environments.terms.term import Name
-from core.environments.terms.terminations import AnyTermination
+from core.environments.info import EnvironmentInfo
+from core.environments.terms.task import TaskOptions
 from core.physics.availability import BodySize, Rule
-
-# Seconds per physics step.
-SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1
 
 ModelId = Annotated[
     str, Field(pattern=r"^sha256:[0-9a-f]{64}$", description="The id that `POST /models` returned.")
 ]
 
 
-class Reset(Strict):
-    """How an episode begins; by default in the model's initial state with a little noise."""
-
-    keyframe: Name | Annotated[int, Field(ge=0, le=MOST_ITEMS)] | None = Field(
-        default=None,
-        description="By name or number: its positions, velocities and states of actuators. null: the "
-        "model's custom numeric `init_qpos`, or else `qpos0`.",
-    )
-    qpos: Annotated[list[Real], Field(min_length=1, max_length=MOST_ITEMS)] | None = Field(
-        default=None, description="Initial positions, in MuJoCo's order."
-    )
-    position_noise: NoiseScale = Field(default=0.01, description="Uniform in ± this: m, rad.")
-    velocity_noise: NoiseScale = Field(default=0.01, description="See velocity_distribution: m/s, rad/s.")
-    velocity_distribution: Literal["uniform", "normal"] = Field(
-        default="uniform", description="Uniform in ± velocity_noise, or normal with that standard deviation."
-    )
-
-    @model_validator(mode="after")
-    def _begins_once(self) -> Self:
-        if self.keyframe is not None and self.qpos is not None:
-            raise ValueError("give either keyframe or qpos")
-        return self
-
-
-class MjcfOptions(Strict):
+class MjcfOptions(TaskOptions):
     """A user's model with its reward, observation and termination terms; only the model has no default."""
 
     model: ModelId
-    root: Name | None = Field(
-        default=None,
-        description="Body of the terms that name no body; null: the first body that can travel, of those "
-        "with actuators.",
-    )
-    reward: Annotated[list[AnyReward], Field(min_length=1, max_length=64)] | None = Field(
-        default=None,
-        description="Terms to sum; null: forward_velocity, alive, and control_cost of weight 0.05.",
-    )
-    observation: Annotated[list[AnyObservation], Field(min_length=1, max_length=64)] | None = Field(
-        default=None, description="Terms to concatenate, in this order; null: qpos and qvel."
-    )
-    termination: Annotated[list[AnyTermination], Field(max_length=64)] | None = Field(
-        default=None,
-        description="Terms, any of which ends the episode; null: for a body that can travel, height_range "
-        "from 0.4 to 2 times its initial height.",
-    )
-    reset: Reset = Reset()
-    n_frames: int | None = Field(
-        default=None, ge=1, le=1000, description="Physics steps per action; null: as many as fill 0.02 s."
-    )
-    timestep: float | None = Field(
-        default=None,
-        ge=SHORTEST_STEP_S,
-        le=LONGEST_STEP_S,
-        description="Seconds per physics step; null: the model's.",
-    )
-    solver: Literal["newton", "cg"] = Field(
-        default="newton",
-        description="Constraint solver on mjx and warp; compiled has Newton's, native keeps the model's.",
-    )
-    iterations: int = Field(
-        default=4, ge=1, le=100, description="Solver iterations on mjx, warp and compiled."
-    )
-    ls_iterations: int = Field(
-        default=8, ge=1, le=100, description="Line-search iterations on mjx, warp and compiled."
-    )
-
-    @model_validator(mode="after")
-    def _has_a_metric_for_each_term(self) -> Self:
-        names = metric_names(self.reward or [])
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"two reward terms are called {', '.join(twice)}: give them a `name` each")
-        return self
-
-    @property
-    def contacts(self) -> list[tuple[str, str | None]]:
-        """Geoms whose contacts some term counts, each with the geom it must touch; None for any."""
-        terms = [*(self.reward or []), *(self.termination or [])]
-        asked = [(geom, term.against) for term in terms if term.kind == "contact" for geom in term.geoms]
-        return list(dict.fromkeys(asked))
-
-    @property
-    def sensors(self) -> list[str] | None:
-        """The model's own sensors that some term reads; None: all."""
-        terms = [term for term in self.observation or [] if isinstance(term, Sensors)]
-        if any(term.names is None for term in terms):
-            return None
-        return [name for term in terms for name in term.names or []]
-
-
-def metric_names(terms: Sequence[AnyReward]) -> list[str]:
-    """The metric of each term: `reward_`, then its name or its kind."""
-    return [f"reward_{term.name or term.kind}" for term in terms]
-
-
-def mjcf_slices(options: MjcfOptions, model: Inventory) -> Spaces:
-    """The numbers of the observation and of the action. model: the parts of the model of the options."""
-    root = options.root or model.root
-    seen = [part for term in observed(options) for part in term.slices(model, root)]
-    acts = [
-        # Without a range, an action is the control itself.
-        named(name, (name,), None, *(actuator.control_range or (-1.0, 1.0)))
-        for name, actuator in zip(model.acting, model.actuators, strict=True)
-    ]
-    return Spaces(in_order(seen), in_order(acts))
-
-
-def observed(options: MjcfOptions) -> Sequence[ObservationTerm]:
-    """The terms of the observation."""
-    return options.observation or [Qpos(), Qvel()]
 
 
 INFO = EnvironmentInfo(

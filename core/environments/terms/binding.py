@@ -8,15 +8,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from core.environments.patterns import by_name
+from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.term import Array, Term
 
 
 @dataclass(frozen=True)
 class BoundTerm:
-    """derived: the fields that it reads. measure: its value, [] or [n]."""
+    """derived: the fields that it reads. size: how many numbers it has. measure: its value, [] or [n]."""
 
     derived: frozenset[str]
+    size: int
     measure: Callable[[Step], Array]
 
 
@@ -27,8 +30,9 @@ def bound(term: Term, model: ModelIndex) -> BoundTerm:
     derived = _Noted(data)
     physics = SimpleNamespace(qpos=data.qpos, qvel=data.qvel, act=data.act, derived=derived)
     nothing = np.zeros(model.model.nu)
-    term.measure(Step(physics, physics, nothing, nothing, 1.0, np), model)
-    return BoundTerm(frozenset(derived.read), lambda step: term.measure(step, model))
+    step = Step(physics, physics, nothing, nothing, 1.0, np, np.zeros(3), np.zeros(len(model.feet)))
+    size = np.size(term.measure(step, model))
+    return BoundTerm(frozenset(derived.read), size, lambda step: term.measure(step, model))
 
 
 class _Noted(Mapping[str, np.ndarray]):
@@ -47,3 +51,20 @@ class _Noted(Mapping[str, np.ndarray]):
 
     def __len__(self) -> int:
         return 0
+
+
+def servo_targets(
+    action: JointPositionAction, model: mujoco.MjModel, pose: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The controls [nu] for an action of 0, and what an action of 1 adds to them. pose: positions [nq]."""
+    joints = model.actuator_trnid[:, 0]
+    names = [model.joint(joint).name for joint in joints]
+    stiffness, forces = model.actuator_gainprm[:, 0], model.actuator_forcerange[:, 1]
+    limited = model.actuator_forcelimited.astype(bool)
+    scale = np.where(limited, 0.25 * forces / np.maximum(stiffness, 1e-9), 0.25)
+    if isinstance(action.scale, dict):
+        chosen = by_name(action.scale, names)
+        scale = np.array([chosen.get(name, own) for name, own in zip(names, scale, strict=True)])
+    elif action.scale is not None:
+        scale = np.full(model.nu, action.scale)
+    return pose[model.jnt_qposadr[joints]].astype(np.float32), scale.astype(np.float32)

@@ -1,8 +1,11 @@
 """A model's parts, by name; the API checks terms against them, so this imports no numerical code."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 from core.documents import Stored
+from core.environments.patterns import matching
 from core.physics.availability import BodySize, EngineName
 
 Kind = Literal["body", "geom", "joint", "sensor"]
@@ -86,6 +89,11 @@ class Inventory(Stored):
         """None if it is not known."""
         return None if self.num_pairs is None else BodySize(self.sizes.nv, self.num_pairs)
 
+    def moving_joints(self, patterns: Sequence[str] | None = None) -> list[Joint]:
+        """The hinges and slides, or those whose whole name one of these regular expressions matches."""
+        joints = (joint for joint in self.joints if joint.type in ("hinge", "slide"))
+        return [joint for joint in joints if patterns is None or matching(patterns, [joint.name])]
+
     @property
     def acting(self) -> list[str]:
         """The actuators' names; by number where they have none."""
@@ -102,3 +110,13 @@ class Inventory(Stored):
                 return [joint.name for joint in self.joints if joint.name and joint.range is not None]
             case "sensor":
                 return [sensor.name for sensor in self.sensors if sensor.name]
+
+
+@dataclass(frozen=True)
+class ModelParts:
+    """A model as a task names its parts. root: the body of the terms that name none. num_feet: those that the
+    task names."""
+
+    model: Inventory
+    root: str
+    num_feet: int = 0

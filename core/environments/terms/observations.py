@@ -2,15 +2,15 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
 from core.environments import bodies
 from core.environments.bodies import CINERT, CVEL, Body, JointType
 from core.environments.info import Slice, named
-from core.environments.numbers import PREVIOUS_ACTION, Numbers, numbers, rows
-from core.environments.terms.inventory import Inventory, Sensor
+from core.environments.numbers import PREVIOUS_ACTION, NotSimulated, Numbers, numbers, rows
+from core.environments.terms.inventory import Inventory, ModelParts, Sensor
 from core.environments.terms.term import Array, Names, OfBodies, Term
 
 if TYPE_CHECKING:
@@ -48,19 +48,42 @@ _OF_A_STATE = ("qpos", "qvel", "act")
 
 
 class ObservationTerm(Term):
-    """Numbers of MuJoCo's own arrays. The parts that it names are in the model."""
+    """Numbers that a policy sees: those of `measure` with noise, times `scale`, within ± `clip`.
 
-    def size(self, model: Inventory) -> int:
+    The parts that it names are in the model.
+    """
+
+    scale: float = Field(default=1.0, gt=0, le=1e6, description="What is seen is the number times this.")
+    noise: float = Field(default=0.0, ge=0, le=1e6, description="Uniform in ± this, before the scale.")
+    clip: float | None = Field(default=None, gt=0, le=1e6, description="Bounds what is seen to ± this.")
+
+    def size(self, parts: ModelParts) -> int:
         """How many numbers it has at most, counted without naming each."""
         raise NotImplementedError
 
-    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
-        """Its numbers by name and unit. root: the body of the terms that name none."""
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        """Its numbers by name and unit."""
         raise NotImplementedError
 
     def numbers(self, model: "ModelIndex") -> Numbers:
-        """Where they are in MuJoCo's arrays."""
-        raise NotImplementedError
+        """Where they are in MuJoCo's arrays. Raises NotSimulated where they are no part of them."""
+        raise NotSimulated(f"it observes {getattr(self, 'kind', 'what only the training computes')}")
+
+    def seen(self, step: "Step", model: "ModelIndex", uniform: Array | None = None) -> Array:
+        """What a policy sees of it, [n]. uniform: [n] random numbers in [0, 1) for the noise; None: none."""
+        values = self.measure(step, model)
+        if uniform is not None and self.noise:
+            values = values + self.noise * (2.0 * uniform - 1.0)
+        if self.scale != 1.0:
+            values = self.scale * values
+        return values if self.clip is None else step.xp.clip(values, -self.clip, self.clip)
+
+    def shown(self, model: "ModelIndex") -> Numbers:
+        """`numbers`, with their bounds. Raises NotSimulated."""
+        if self.scale != 1.0:
+            raise NotSimulated("it scales what it observes")
+        numbers = self.numbers(model)
+        return numbers if self.clip is None else replace(numbers, max_abs=self.clip)
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         seen = self.numbers(model)
@@ -79,14 +102,14 @@ class _BodyNumbers(OfBodies, ObservationTerm):
     parts: ClassVar[Sequence[str]]
     unit: ClassVar[str]
 
-    def size(self, model: Inventory) -> int:
-        number = model.sizes.nbody if self.bodies is None else len(self.bodies)
+    def size(self, parts: ModelParts) -> int:
+        number = parts.model.sizes.nbody if self.bodies is None else len(self.bodies)
         return number * len(self.parts)
 
-    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
-        number = model.sizes.nbody - 1
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        number = parts.model.sizes.nbody - 1
         name: str = getattr(self, "kind")  # noqa: B009 Each of these classes has one.
-        all_named = [body for body in model.bodies if body != "world"]
+        all_named = [body for body in parts.model.bodies if body != "world"]
         if self.bodies is None and len(all_named) != number:  # One has no name.
             yield Slice(name, 0, number * len(self.parts), self.unit)
         else:
@@ -106,11 +129,11 @@ class Qpos(ObservationTerm):
         "without a free joint keeps all positions.",
     )
 
-    def size(self, model: Inventory) -> int:
-        return model.sizes.nq
+    def size(self, parts: ModelParts) -> int:
+        return parts.model.sizes.nq
 
-    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
-        return bodies.qpos(_joints(model), self._hidden(model, root))
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        return bodies.qpos(_joints(parts.model), self._hidden(parts))
 
     def numbers(self, model: "ModelIndex") -> Numbers:
         return numbers("qpos", model.visible_positions(self._num_hidden))
@@ -120,8 +143,8 @@ class Qpos(ObservationTerm):
         """How many of the root's x, y and z are left out."""
         return {"all": 0, "none": 3}.get(self.root_position or "", 2)
 
-    def _hidden(self, model: Inventory, root: str) -> range:
-        free = [joint for joint in model.joints if joint.type == "free" and joint.body == root]
+    def _hidden(self, parts: ModelParts) -> range:
+        free = [joint for joint in parts.model.joints if joint.type == "free" and joint.body == parts.root]
         start = free[0].qpos_start if free else 0
         return range(start, start + self._num_hidden) if free else range(0)
 
@@ -131,11 +154,11 @@ class Qvel(ObservationTerm):
 
     kind: Literal["qvel"] = "qvel"
 
-    def size(self, model: Inventory) -> int:
-        return model.sizes.nv
+    def size(self, parts: ModelParts) -> int:
+        return parts.model.sizes.nv
 
-    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
-        return bodies.qvel(_joints(model))
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        return bodies.qvel(_joints(parts.model))
 
     def numbers(self, model: "ModelIndex") -> Numbers:
         return numbers("qvel", range(model.model.nv))
@@ -146,11 +169,11 @@ class PreviousAction(ObservationTerm):
 
     kind: Literal["previous_action"] = "previous_action"
 
-    def size(self, model: Inventory) -> int:
-        return model.sizes.nu
+    def size(self, parts: ModelParts) -> int:
+        return parts.model.sizes.nu
 
-    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
-        yield named("previous_action", model.acting, "1", -1.0, 1.0)
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        yield named("previous_action", parts.model.acting, "1", -1.0, 1.0)
 
     def numbers(self, model: "ModelIndex") -> Numbers:
         return numbers(PREVIOUS_ACTION, range(model.model.nu))
@@ -161,11 +184,11 @@ class Activation(ObservationTerm):
 
     kind: Literal["act"] = "act"
 
-    def size(self, model: Inventory) -> int:
-        return model.sizes.na
+    def size(self, parts: ModelParts) -> int:
+        return parts.model.sizes.na
 
-    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
-        yield Slice("act", 0, model.sizes.na)
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        yield Slice("act", 0, parts.model.sizes.na)
 
     def numbers(self, model: "ModelIndex") -> Numbers:
         return numbers("act", range(model.model.na))
@@ -177,14 +200,14 @@ class Sensors(ObservationTerm):
     kind: Literal["sensors"] = "sensors"
     names: Names | None = Field(default=None, description="The sensors, in this order; null: all.")
 
-    def size(self, model: Inventory) -> int:
-        return sum(sensor.size for sensor in self._sensors(model))
+    def size(self, parts: ModelParts) -> int:
+        return sum(sensor.size for sensor in self._sensors(parts.model))
 
-    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
-        for sensor in self._sensors(model):
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        for sensor in self._sensors(parts.model):
             name = sensor.name or sensor.type
-            parts = [name] if sensor.size == 1 else [f"{name} {number}" for number in range(sensor.size)]
-            yield named("sensors", parts, _UNITS.get(sensor.type))
+            names = [name] if sensor.size == 1 else [f"{name} {number}" for number in range(sensor.size)]
+            yield named("sensors", names, _UNITS.get(sensor.type))
 
     def numbers(self, model: "ModelIndex") -> Numbers:
         return numbers("sensordata", model.sensors(self.names))
@@ -239,17 +262,17 @@ class ActuatorForces(ObservationTerm):
 
     kind: Literal["qfrc_actuator"] = "qfrc_actuator"
 
-    def size(self, model: Inventory) -> int:
-        return model.sizes.nv
+    def size(self, parts: ModelParts) -> int:
+        return parts.model.sizes.nv
 
-    def slices(self, model: Inventory, root: str) -> Iterable[Slice]:
-        return bodies.qfrc_actuator(_joints(model))
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        return bodies.qfrc_actuator(_joints(parts.model))
 
     def numbers(self, model: "ModelIndex") -> Numbers:
         return numbers("qfrc_actuator", range(model.model.nv))
 
 
-AnyObservation = Annotated[
+NumbersOfMujoco = (
     Qpos
     | Qvel
     | PreviousAction
@@ -259,9 +282,8 @@ AnyObservation = Annotated[
     | BodyOrientations
     | Cvel
     | Cinert
-    | ActuatorForces,
-    Field(discriminator="kind"),
-]
+    | ActuatorForces
+)
 
 
 def _joints(model: Inventory) -> Body:

@@ -173,7 +173,7 @@ class Contact(OfContact, RewardTerm):
         return self.num_touching(step, model)
 
 
-AnyReward = Annotated[
+CommonReward = (
     ForwardVelocity
     | VelocityTracking
     | Upright
@@ -184,6 +184,5 @@ AnyReward = Annotated[
     | ActionRate
     | Distance
     | JointLimits
-    | Contact,
-    Field(discriminator="kind"),
-]
+    | Contact
+)

@@ -1,6 +1,6 @@
 """A step of one environment as terms see it, and the places of a model's parts in MuJoCo's arrays."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -8,15 +8,20 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from core.environments.patterns import by_name, matching
 from core.environments.terms.contact_sensors import is_ours, sensor_name
 from core.environments.terms.term import Array
+
+# A command below this norm (m/s, rad/s) is to stand still.
+_STANDING = 0.05
 
 
 @dataclass(frozen=True)
 class Step:
     """before, after: the physics before and after it, a `PhysicsState` or what has its fields. action,
     previous_action: [nu], each in [-1, 1]; the latter is zero in an episode's first step. dt: its duration
-    in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`.
+    in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`. command: [3], as
+    `VelocityCommand` has it; zeros without one. phases: of the gait's clock, [feet] in rad.
     """
 
     before: Any
@@ -25,8 +30,15 @@ class Step:
     previous_action: Array
     dt: float
     xp: ModuleType
+    command: Array = None
+    phases: Array = None
 
-    def array(self, values: Sequence[float]) -> Array:
+    @property
+    def is_moving(self) -> Array:
+        """Whether the command is to move, []."""
+        return self.xp.sum(self.command**2) > _STANDING**2
+
+    def array(self, values: Sequence[float] | np.ndarray) -> Array:
         """[n] float32."""
         return self.xp.asarray(values, self.xp.float32)
 
@@ -37,10 +49,17 @@ class Step:
 
 @dataclass(frozen=True)
 class ModelIndex:
-    """The model's parts by name. root: number of the body of the terms that name no body."""
+    """The model's parts by name. root: number of the body of the terms that name no body.
+
+    pose: positions [nq] in which episodes begin, before noise. feet: numbers of the bodies. foot_stand: their
+    heights in the pose, [feet] in m.
+    """
 
     model: mujoco.MjModel
     root: int
+    pose: np.ndarray
+    feet: np.ndarray
+    foot_stand: np.ndarray
 
     def body(self, name: str | None) -> int:
         return self.root if name is None else int(self.model.body(name).id)
@@ -92,3 +111,55 @@ class ModelIndex:
             return np.array([self.model.joint(name).id for name in names])
         kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         return np.flatnonzero(self.model.jnt_limited.astype(bool) & np.isin(self.model.jnt_type, kinds))
+
+    def joints(self, patterns: Sequence[str] | None) -> np.ndarray:
+        """Numbers of the hinges and slides, or of those that a pattern matches."""
+        kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+        moving = np.flatnonzero(np.isin(self.model.jnt_type, kinds))
+        return np.array(
+            [j for j in moving if patterns is None or matching(patterns, [self.model.joint(j).name])], int
+        )
+
+    def joint_positions(self, patterns: Sequence[str] | None) -> np.ndarray:
+        """Their places in qpos."""
+        return self.model.jnt_qposadr[self.joints(patterns)]
+
+    def joint_velocities(self, patterns: Sequence[str] | None) -> np.ndarray:
+        """Their places in qvel."""
+        return self.model.jnt_dofadr[self.joints(patterns)]
+
+    def per_joint(self, values: Mapping[str, float]) -> np.ndarray:
+        """The value of each hinge and slide, by patterns; 0 for those that none matches."""
+        names = [self.model.joint(joint).name for joint in self.joints(None)]
+        chosen = by_name(values, names)
+        return np.array([chosen.get(name, 0.0) for name in names])
+
+    def velocities(self, step: Step) -> Array:
+        """Those of the root's free joint [6]: linear along the world's axes, angular about its own."""
+        start = int(self.model.jnt_dofadr[self.model.body_jntadr[self.root]])
+        return step.after.qvel[start : start + 6]
+
+    def base_linear_velocity(self, step: Step) -> Array:
+        """The root's, along its own axes, [3] in m/s."""
+        return self._turned_back(step, self.velocities(step)[:3])
+
+    def base_angular_velocity(self, step: Step) -> Array:
+        """The root's, about its own axes, [3] in rad/s."""
+        return self.velocities(step)[3:]
+
+    def projected_gravity(self, step: Step) -> Array:
+        """The direction of gravity in the root's frame, [3]."""
+        return self._turned_back(step, step.array((0.0, 0.0, -1.0)))
+
+    def foot_heights(self, step: Step) -> Array:
+        """Of each foot above where it stands in the pose, [feet] in m."""
+        return step.after.derived["xpos"][self.feet, 2] - step.array(self.foot_stand)
+
+    def _turned_back(self, step: Step, vector: Array) -> Array:
+        """Rᵀ v, by the unit quaternion of the root's free joint."""
+        start = int(self.model.jnt_qposadr[self.model.body_jntadr[self.root]])
+        quaternion = step.after.qpos[start + 3 : start + 7]
+        xp = step.xp
+        quaternion = quaternion / xp.linalg.norm(quaternion)  # Noise at a reset has changed its length.
+        w, axis = quaternion[0], -quaternion[1:]
+        return vector + 2.0 * xp.cross(axis, xp.cross(axis, vector) + w * vector)

@@ -6,7 +6,7 @@ trains, NumPy beside MuJoCo's own data. Which fields of the physics it reads is 
 (`binding.bound`).
 """
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -33,8 +33,17 @@ def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
 Direction = Annotated[Vector, AfterValidator(_not_zero)]
 
 
+# `free_root`: a free joint of the root. The others are fields of `TaskOptions`.
+Need = Literal["command", "feet", "free_root", "gait"]
+
+
 class Term(Strict):
-    """A part of an observation, of a reward, or of what ends an episode."""
+    """A part of an observation, of a reward, or of what ends an episode.
+
+    needs: what else the task must have.
+    """
+
+    needs: ClassVar[frozenset[Need]] = frozenset()
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         """The term's value after a step: [], or [n] of an observation."""

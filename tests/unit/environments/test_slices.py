@@ -22,7 +22,8 @@ from core.environments.describe_bodies import described
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo, Slice, Spaces, in_order, named
 from core.environments.mjcf.describe import inventory
-from core.environments.mjcf.info import MjcfOptions, mjcf_slices
+from core.environments.mjcf.info import MjcfOptions
+from core.environments.terms.task import task_slices
 from core.physics.choose import engine_builder
 from tests.unit.environments.mjcf import probe
 
@@ -255,7 +256,7 @@ def test_terms_on_a_users_model_have_their_slices() -> None:
     model = mujoco.MjModel.from_xml_string(probe.XML.decode())
     kinds = ("qpos", "qvel", "previous_action", "body_positions", "cvel", "qfrc_actuator", "sensors")
     given = probe.options(observation=[{"kind": kind} for kind in kinds])
-    spaces = mjcf_slices(MjcfOptions.model_validate(given), inventory(model))
+    spaces = task_slices(MjcfOptions.model_validate(given), inventory(model))
     assert spaces.observation == in_order(
         [
             named("qpos", ["root z"], "m"),

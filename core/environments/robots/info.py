@@ -1,0 +1,189 @@
+"""The catalog's rows of robots: tasks of terms, for bodies that come with a package."""
+
+import json
+from collections.abc import Sequence
+from functools import cache, partial
+from pathlib import Path
+
+from pydantic import Field
+
+from core.environments.info import EnvironmentInfo, Spaces
+from core.environments.mjcf.check import problems
+from core.environments.robots.g1 import G1
+from core.environments.robots.go1 import GO1
+from core.environments.robots.robot import Robot
+from core.environments.terms.actions import AnyAction, JointPositionAction
+from core.environments.terms.commands import GaitClock, VelocityCommand
+from core.environments.terms.inventory import Inventory
+from core.environments.terms.locomotion import (
+    BaseAngularVelocity,
+    BaseLinearVelocity,
+    Command,
+    FlatOrientation,
+    FootSlip,
+    GaitPhase,
+    JointPositions,
+    JointVelocities,
+    JointVelocityCost,
+    Posture,
+    ProjectedGravity,
+    RollPitchRate,
+    StandStill,
+    SwingHeight,
+    TrackAngularVelocity,
+    TrackLinearVelocity,
+    VerticalVelocity,
+)
+from core.environments.terms.observations import PreviousAction
+from core.environments.terms.rewards import ActionRate, ControlCost, JointLimits
+from core.environments.terms.task import (
+    Events,
+    Feet,
+    Observations,
+    Reset,
+    Rewards,
+    TaskOptions,
+    Terminations,
+    task_slices,
+)
+from core.environments.terms.terminations import NotUpright, OutsideHeightRange
+from core.environments.terms.vocabulary import AnyObservation
+from core.errors import Problem
+from core.physics.availability import Rule
+
+TABLE = Path(__file__).with_name("inventories.json")
+ROBOTS = {robot.name: robot for robot in (G1, GO1)}
+
+_SEEN: list[AnyObservation] = [
+    BaseLinearVelocity(),
+    BaseAngularVelocity(scale=0.25),
+    ProjectedGravity(),
+    Command(),
+    JointPositions(),
+    JointVelocities(scale=0.05),
+    PreviousAction(),
+    GaitPhase(),
+]
+
+
+_SIDEWAYS, _LEGS = ".*_(hip_yaw|hip_roll)_joint", ".*_(hip|knee|ankle)_.*"
+
+
+class JoystickOptions(TaskOptions):
+    """A robot that walks by command."""
+
+    observation: Observations = Field(default=_SEEN, description="Terms to concatenate, in this order.")
+    action: AnyAction = Field(default=JointPositionAction(), description="How an action becomes controls.")
+    command: VelocityCommand | None = Field(
+        default=VelocityCommand(), description="What the policy is told to do."
+    )
+    events: Events = Field(default=[], description="What happens to the body within an episode.")
+    reset: Reset = Reset(keyframe="home", position_noise=0.02, velocity_noise=0.2)
+
+
+class G1Options(JoystickOptions):
+    """Unitree's G1 that walks by command, on a floor."""
+
+    reward: Rewards = Field(
+        default=[
+            TrackLinearVelocity(weight=2.0),
+            TrackAngularVelocity(weight=1.5),
+            SwingHeight(height=0.1),
+            FlatOrientation(),
+            Posture(weight=0.15, weights={_SIDEWAYS: 0.5, _LEGS: 0.0, ".*": 1.0}),
+            ActionRate(weight=0.02),
+            ControlCost(weight=0.002),
+            RollPitchRate(weight=0.05),
+            VerticalVelocity(weight=0.5),
+            FootSlip(weight=0.1),
+            JointVelocityCost(weight=0.0005),
+            JointLimits(weight=2.0, share=0.9),
+            StandStill(weight=0.05),
+        ],
+        description="Terms to sum.",
+    )
+    termination: Terminations = Field(
+        default=[NotUpright(least=0.5), OutsideHeightRange(range=(0.4, 2.0))],
+        description="Terms, any of which ends the episode.",
+    )
+    feet: Feet = Field(
+        default=list(G1.feet), description="The bodies that are feet, in the order of the gait."
+    )
+    gait: GaitClock | None = Field(
+        default=GaitClock(), description="The clock of `gait_phase` and `swing_height`."
+    )
+
+
+class Go1Options(JoystickOptions):
+    """Unitree's Go1 that walks by command, on a floor."""
+
+    reward: Rewards = Field(
+        default=[
+            TrackLinearVelocity(weight=2.0),
+            TrackAngularVelocity(weight=1.5),
+            SwingHeight(height=0.08),
+            FlatOrientation(),
+            Posture(weight=0.1),
+            ActionRate(weight=0.02),
+            RollPitchRate(weight=0.05),
+            VerticalVelocity(weight=0.5),
+            FootSlip(weight=0.1),
+            JointVelocityCost(weight=0.0005),
+            JointLimits(weight=2.0, share=0.9),
+            StandStill(weight=0.05),
+        ],
+        description="Terms to sum.",
+    )
+    termination: Terminations = Field(
+        default=[NotUpright(least=0.5), OutsideHeightRange(range=(0.12, 1.0))],
+        description="Terms, any of which ends the episode.",
+    )
+    feet: Feet = Field(
+        default=list(GO1.feet), description="The bodies that are feet, in the order of the gait."
+    )
+    gait: GaitClock | None = Field(
+        default=GaitClock(frequency=2.0, offsets=[0.0, 0.5, 0.5, 0.0]),
+        description="The clock of `gait_phase` and `swing_height`.",
+    )
+
+
+@cache
+def inventory_of(robot: str) -> Inventory:
+    """The parts of the robot's model as it is trained."""
+    return Inventory.model_validate(json.loads(TABLE.read_text())[robot])
+
+
+def _check(options: TaskOptions, robot: str) -> Sequence[Problem]:
+    return problems(options, inventory_of(robot))
+
+
+def _row(robot: Robot, options: type[TaskOptions], description: str) -> EnvironmentInfo:
+    parts = inventory_of(robot.name)
+    return EnvironmentInfo(
+        id=robot.name,
+        description=description,
+        factory="core.environments.robots.environment:make",
+        arguments={"robot": robot.name},
+        observation_size=sum(part.size for part in task_slices(options(), parts).observation),
+        action_size=parts.sizes.nu,
+        dt=0.02,
+        episode_length=1000,
+        tracked_body=robot.root,
+        cameras=tuple(parts.cameras),
+        options=options,
+        slices=partial(_slices, robot=robot.name),
+        check=partial(_check, robot=robot.name),
+        package=robot.package,
+        on_a_cpu=(Rule("compiled", 1, "The robot's code is compiled for it alone."),),
+        on_a_gpu=(Rule("compiled", 1, "A G1 on an H200: 1.5 M training steps/s with 8,192 environments."),),
+    )
+
+
+def _slices(options: TaskOptions, robot: str) -> Spaces:
+    return task_slices(options, inventory_of(robot))
+
+
+INFOS = (
+    _row(G1, G1Options, "Unitree's humanoid G1, which walks by velocity command."),
+    _row(GO1, Go1Options, "Unitree's quadruped Go1, which walks by velocity command."),
+)

@@ -1,0 +1,325 @@
+"""Terms of robots that walk by command: of the root in its own frame, of joints about the pose, of feet.
+
+Names and forms are those of legged_gym, Isaac Lab, mjlab and Playground. The root has a free joint: its
+qvel is the linear velocity along the world's axes and the angular velocity about the root's own.
+"""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from core.environments.info import Slice, named
+from core.environments.patterns import PATTERNS, Patterns, PerName
+from core.environments.terms.inventory import ModelParts
+from core.environments.terms.observations import ObservationTerm
+from core.environments.terms.term import Array, CostTerm, RewardTerm
+
+if TYPE_CHECKING:
+    from core.environments.terms.step import ModelIndex, Step
+
+_AXES = ("x", "y", "z")
+
+
+class BaseLinearVelocity(ObservationTerm):
+    """Rᵀ v: the root's velocity along its own axes, in m/s."""
+
+    needs = frozenset({"free_root"})
+
+    kind: Literal["base_linear_velocity"] = "base_linear_velocity"
+
+    def size(self, parts: ModelParts) -> int:
+        return 3
+
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        yield named("base_linear_velocity", _AXES, "m/s")
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return model.base_linear_velocity(step)
+
+
+class BaseAngularVelocity(ObservationTerm):
+    """The root's angular velocity about its own axes, in rad/s."""
+
+    needs = frozenset({"free_root"})
+
+    kind: Literal["base_angular_velocity"] = "base_angular_velocity"
+
+    def size(self, parts: ModelParts) -> int:
+        return 3
+
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        yield named("base_angular_velocity", _AXES, "rad/s")
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return model.base_angular_velocity(step)
+
+
+class ProjectedGravity(ObservationTerm):
+    """Rᵀ (0, 0, −1): the direction of gravity in the root's frame."""
+
+    needs = frozenset({"free_root"})
+
+    kind: Literal["projected_gravity"] = "projected_gravity"
+
+    def size(self, parts: ModelParts) -> int:
+        return 3
+
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        yield named("projected_gravity", _AXES, "1", -1.0, 1.0)
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return model.projected_gravity(step)
+
+
+class _OfJoints(ObservationTerm):
+    joints: Patterns | None = Field(default=None, description=f"null: all hinges and slides. {PATTERNS}")
+
+    def size(self, parts: ModelParts) -> int:
+        return len(parts.model.moving_joints(self.joints))
+
+    def _named(self, name: str, parts: ModelParts, units: tuple[str, str]) -> Iterable[Slice]:
+        joints = parts.model.moving_joints(self.joints)
+        kinds = {joint.type for joint in joints}
+        unit = units[0] if kinds == {"hinge"} else units[1] if kinds == {"slide"} else ", ".join(units)
+        yield named(name, (joint.name for joint in joints), unit)
+
+
+class JointPositions(_OfJoints):
+    """q − q*: positions of joints less those of the pose, in rad or m."""
+
+    kind: Literal["joint_positions"] = "joint_positions"
+
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        return self._named("joint_positions", parts, ("rad", "m"))
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        places = model.joint_positions(self.joints)
+        return step.after.qpos[places] - step.array(model.pose[places])
+
+
+class JointVelocities(_OfJoints):
+    """q̇: velocities of joints, in rad/s or m/s."""
+
+    kind: Literal["joint_velocities"] = "joint_velocities"
+
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        return self._named("joint_velocities", parts, ("rad/s", "m/s"))
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.after.qvel[model.joint_velocities(self.joints)]
+
+
+class Command(ObservationTerm):
+    """The command: forward and left in m/s, turn in rad/s."""
+
+    needs = frozenset({"command"})
+
+    kind: Literal["command"] = "command"
+
+    def size(self, parts: ModelParts) -> int:
+        return 3
+
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        for name, unit in (("forward", "m/s"), ("left", "m/s"), ("turn", "rad/s")):
+            yield named("command", (name,), unit)
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.command
+
+
+class GaitPhase(ObservationTerm):
+    """sin φ of each foot, then cos φ, with φ the phase of the gait's clock."""
+
+    needs = frozenset({"feet", "gait"})
+
+    kind: Literal["gait_phase"] = "gait_phase"
+
+    def size(self, parts: ModelParts) -> int:
+        return 2 * parts.num_feet
+
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        for part in ("sin", "cos"):
+            yield named("gait_phase", (f"{part} {foot}" for foot in range(parts.num_feet)), "1", -1.0, 1.0)
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.concatenate([step.xp.sin(step.phases), step.xp.cos(step.phases)])
+
+
+class TrackLinearVelocity(RewardTerm):
+    """exp(−‖v_xy − c_xy‖² / σ²): 1 where the root moves as commanded."""
+
+    needs = frozenset({"command", "free_root"})
+
+    kind: Literal["track_linear_velocity"] = "track_linear_velocity"
+    tolerance: float = Field(default=0.5, gt=0, le=100, description="Error at which the term is 1/e, in m/s.")
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        error = model.base_linear_velocity(step)[:2] - step.command[:2]
+        return step.xp.exp(-step.xp.sum(error**2) / self.tolerance**2)
+
+
+class TrackAngularVelocity(RewardTerm):
+    """exp(−(ω_z − c_turn)² / σ²): 1 where the root turns as commanded."""
+
+    needs = frozenset({"command", "free_root"})
+
+    kind: Literal["track_angular_velocity"] = "track_angular_velocity"
+    tolerance: float = Field(
+        default=0.5, gt=0, le=100, description="Error at which the term is 1/e, in rad/s."
+    )
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        error = model.base_angular_velocity(step)[2] - step.command[2]
+        return step.xp.exp(-(error**2) / self.tolerance**2)
+
+
+class FlatOrientation(RewardTerm):
+    """exp(−‖g_xy‖² / σ²), with g the direction of gravity in the root's frame: 1 where it is upright."""
+
+    needs = frozenset({"free_root"})
+
+    kind: Literal["flat_orientation"] = "flat_orientation"
+    tolerance: float = Field(default=0.3, gt=0, le=10, description="Sine of the tilt at which it is 1/e.")
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        sideways = model.projected_gravity(step)[:2]
+        return step.xp.exp(-step.xp.sum(sideways**2) / self.tolerance**2)
+
+
+class VerticalVelocity(CostTerm):
+    """v_z²: the root's velocity along the world's z, in m²/s²."""
+
+    needs = frozenset({"free_root"})
+
+    kind: Literal["vertical_velocity"] = "vertical_velocity"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return model.velocities(step)[2] ** 2
+
+
+class RollPitchRate(CostTerm):
+    """ω_x² + ω_y²: the root's angular velocity about its own x and y, in rad²/s²."""
+
+    needs = frozenset({"free_root"})
+
+    kind: Literal["roll_pitch_rate"] = "roll_pitch_rate"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.sum(model.base_angular_velocity(step)[:2] ** 2)
+
+
+class Posture(CostTerm):
+    """Σ w (q − q*)²: how far joints are from the pose, in rad² or m²."""
+
+    kind: Literal["posture"] = "posture"
+    weights: PerName = Field(default={".*": 1.0}, description=f"By joint; others weigh nothing. {PATTERNS}")
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        places = model.joint_positions(None)
+        error = step.after.qpos[places] - step.array(model.pose[places])
+        return step.xp.sum(step.array(model.per_joint(self.weights)) * error**2)
+
+
+class StandStill(CostTerm):
+    """Σ |q − q*| while the command is to stand: joints away from the pose, in rad or m."""
+
+    needs = frozenset({"command"})
+
+    kind: Literal["stand_still"] = "stand_still"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        places = model.joint_positions(None)
+        error = abs(step.after.qpos[places] - step.array(model.pose[places]))
+        return step.xp.where(step.is_moving, 0.0, step.xp.sum(error))
+
+
+class JointVelocityCost(CostTerm):
+    """Σ q̇²: the joints' velocities, in rad²/s² or m²/s²."""
+
+    kind: Literal["joint_velocity"] = "joint_velocity"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.sum(step.after.qvel[model.joint_velocities(None)] ** 2)
+
+
+class JointAcceleration(CostTerm):
+    """Σ ((q̇' − q̇) / dt)²: the joints' accelerations over a step, in rad²/s⁴ or m²/s⁴."""
+
+    kind: Literal["joint_acceleration"] = "joint_acceleration"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        places = model.joint_velocities(None)
+        return step.xp.sum(((step.after.qvel[places] - step.before.qvel[places]) / step.dt) ** 2)
+
+
+class JointTorque(CostTerm):
+    """Σ τ²: the actuators' forces on the joints, in N² m² or N²."""
+
+    kind: Literal["joint_torque"] = "joint_torque"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.sum(step.after.derived["qfrc_actuator"][model.joint_velocities(None)] ** 2)
+
+
+class SwingHeight(RewardTerm):
+    """exp(−Σ (z − z*)² / σ²) over the feet: feet follow the gait's clock.
+
+    z: a foot's height above where it stands in the pose; z* = h max(0, sin φ) while the command is to move,
+    otherwise 0. In m.
+    """
+
+    needs = frozenset({"command", "feet", "gait"})
+
+    kind: Literal["swing_height"] = "swing_height"
+    height: float = Field(default=0.1, gt=0, le=1, description="The highest point h of a swing, in m.")
+    tolerance: float = Field(default=0.06, gt=0, le=1, description="Error at which the term is 1/e, in m.")
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        xp = step.xp
+        wanted = xp.where(step.is_moving, self.height * xp.maximum(xp.sin(step.phases), 0.0), 0.0)
+        return xp.exp(-xp.sum((model.foot_heights(step) - wanted) ** 2) / self.tolerance**2)
+
+
+class FootSlip(CostTerm):
+    """Σ ‖v_xy‖² of the feet that are on the ground, in m²/s²."""
+
+    needs = frozenset({"feet"})
+
+    kind: Literal["foot_slip"] = "foot_slip"
+    height: float = Field(
+        default=0.02,
+        gt=0,
+        le=1,
+        description="A foot is on the ground below this height above its stand, in m.",
+    )
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        before, after = (one.derived["xpos"][model.feet] for one in (step.before, step.after))
+        speed = step.xp.sum(((after - before)[:, :2] / step.dt) ** 2, 1)
+        return step.xp.sum(step.xp.where(model.foot_heights(step) < self.height, speed, 0.0))
+
+
+WalkingObservation = (
+    BaseLinearVelocity
+    | BaseAngularVelocity
+    | ProjectedGravity
+    | JointPositions
+    | JointVelocities
+    | Command
+    | GaitPhase
+)
+WalkingReward = (
+    TrackLinearVelocity
+    | TrackAngularVelocity
+    | FlatOrientation
+    | VerticalVelocity
+    | RollPitchRate
+    | Posture
+    | StandStill
+    | JointVelocityCost
+    | JointAcceleration
+    | JointTorque
+    | SwingHeight
+    | FootSlip
+)
