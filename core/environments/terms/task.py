@@ -9,9 +9,9 @@ from core.bounds import MOST_ITEMS, Real
 from core.documents import Strict
 from core.environments.info import Spaces, in_order, named
 from core.environments.options import NoiseScale
-from core.environments.terms.actions import AnyAction, ControlAction
+from core.environments.terms.actions import AnyAction, ControlAction, JointPositionAction
 from core.environments.terms.commands import GaitClock, Push, VelocityCommand
-from core.environments.terms.inventory import Inventory, ModelParts
+from core.environments.terms.inventory import Actuator, Inventory, ModelParts
 from core.environments.terms.observations import ObservationTerm, Qpos, Qvel, Sensors
 from core.environments.terms.term import Name
 from core.environments.terms.terminations import AnyTermination
@@ -135,11 +135,17 @@ def task_slices(options: TaskOptions, model: Inventory) -> Spaces:
     parts = parts_of(options, model)
     seen = [part for term in observed(options) for part in term.slices(parts)]
     acts = [
-        # Without a range, an action is the control itself.
-        named(name, (name,), None, *(actuator.control_range or (-1.0, 1.0)))
+        named(name, (name,), None, *_ends(options, actuator))
         for name, actuator in zip(model.acting, model.actuators, strict=True)
     ]
     return Spaces(in_order(seen), in_order(acts))
+
+
+def _ends(options: TaskOptions, actuator: Actuator) -> tuple[float | None, float | None]:
+    """The controls that -1 and 1 set; those of servos are not known before the model is read."""
+    if isinstance(options.action, JointPositionAction):
+        return None, None
+    return actuator.control_range or (-1.0, 1.0)  # Without a range, an action is the control itself.
 
 
 def parts_of(options: TaskOptions, model: Inventory) -> ModelParts:
