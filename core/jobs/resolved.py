@@ -11,7 +11,10 @@ from core.algorithms.spec import BaseSpec
 from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.mjcf import edit_check
 from core.environments.mjcf.check import problems
+from core.environments.mjcf.edit_check import edited
+from core.environments.mjcf.edit_options import ModelEdits
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.terms.task import task_slices
 from core.errors import EnvironmentNotFound, ModelNotFound, Problem, Rejected
@@ -87,7 +90,7 @@ def resolve_environment(
 
 def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Description) -> EnvironmentInfo:
     """The catalog's row, with the values that depend on the model."""
-    has = description.inventory
+    has = edited(description.inventory, options.edits)
     spaces = task_slices(options, has)
     return replace(
         info,
@@ -99,7 +102,7 @@ def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Descriptio
     )
 
 
-_POINTER = "/environment/options/model"
+_POINTER, _EDITS = "/environment/options/model", "/environment/options/edits"
 
 
 def own_model(options: MjcfOptions, store: ModelStore) -> Description:
@@ -118,7 +121,9 @@ def own_model(options: MjcfOptions, store: ModelStore) -> Description:
             else f"The model {options.model} is still being validated; ask GET /models/{options.model}."
         )
         raise Rejected(detail, [Problem(_POINTER, detail)])
-    if found := problems(options, record.description.inventory):
+    before = record.description.inventory
+    found = list(edit_check.problems(options.edits, before, _EDITS))
+    if found := found or problems(options, edited(before, options.edits)):
         raise Rejected(" ".join(problem.detail for problem in found[:5]), found)
     return record.description
 
@@ -134,7 +139,8 @@ def engines_that_cannot(description: Description | None, options: MjcfOptions) -
     """Engines that cannot run the model, or read what the options read of it, each with the reason."""
     if description is None:
         return {}
-    tried = description.engines.items()
+    # What was tried is the model as it was sent.
+    tried = description.engines.items() if options.edits == ModelEdits() else ()
     cannot: dict[EngineName, str] = {name: why for name, why in tried if why is not None}
     for sensor in description.inventory.sensors:
         if options.sensors is None or sensor.name in options.sensors:

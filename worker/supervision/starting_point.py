@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import get_args
 
 from core.algorithms.catalog import reported
+from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import JobFailed, ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs.attempts import Claim
@@ -167,5 +168,5 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
     described = record.description
     options = MjcfOptions.model_validate(task.spec.environment.options)
     known = {"engines_that_cannot": dict(engines_that_cannot(described, options))}
-    body = None if described is None else described.inventory.body_size
+    body = None if described is None else edited(described.inventory, options.edits).body_size
     return task.model_copy(update={"model": "model", "body": body, **known})

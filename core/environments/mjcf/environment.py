@@ -1,6 +1,6 @@
 """An environment made of a user's own model and of terms."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +10,11 @@ import mujoco
 import numpy as np
 
 from core.environments.environment import State
+from core.environments.mjcf import edit_check, holding
 from core.environments.mjcf.check import problems
 from core.environments.mjcf.describe import height_of, inventory, root_of
+from core.environments.mjcf.edit_options import HOME
+from core.environments.mjcf.edits import edit
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.model import compiled, read
 from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
@@ -25,13 +28,14 @@ from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.task import TaskOptions, metric_names, observed
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
 from core.environments.terms.vocabulary import AnyReward
-from core.errors import JobFailed
+from core.errors import JobFailed, Problem
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import initial_qpos
 from core.reasons import Reason
 
 _SECONDS_PER_ACTION = 0.02
 _LOWEST, _HIGHEST = 0.4, 2.0
+_EDITS = "/environment/options/edits"
 # Folded into a reset's key: the key of the episode's own random numbers.
 _OF_THE_EPISODE = 7
 
@@ -44,11 +48,28 @@ def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None =
     if model is None:
         raise JobFailed(Reason.BAD_MODEL, f"The file of the model {options.model} is missing.")
     with read(model) as (spec, _):
-        original = inventory(compiled(spec))
-        if found := problems(options, original):
-            raise JobFailed(Reason.BAD_MODEL, " ".join(problem.detail for problem in found))
-        stepped = compiled(spec, options.timestep, options.contacts, options.sensors)
-        return Mjcf(options, original, spec, stepped, build_engine)
+        _check(edit_check.problems(options.edits, inventory(compiled(spec)), _EDITS))
+        edit(spec, options.edits)
+        parts = inventory(compiled(spec, options.timestep))
+        task = _from_the_pose(options)
+        _check(problems(task, parts))
+        stepped = compiled(spec, options.timestep, task.contacts, task.sensors)
+        _check(holding.problems(stepped, options.edits, _EDITS))
+        return Mjcf(task, parts, spec, stepped, build_engine)
+
+
+def _check(problems: Iterable[Problem]) -> None:
+    """Raises JobFailed("bad_model") with all of them."""
+    if details := [problem.detail for problem in problems]:
+        raise JobFailed(Reason.BAD_MODEL, " ".join(details))
+
+
+def _from_the_pose(options: MjcfOptions) -> TaskOptions:
+    """The task, whose episodes begin in the pose of the edits unless its reset says otherwise."""
+    reset = options.reset
+    if options.edits.pose is None or reset.keyframe is not None or reset.qpos is not None:
+        return options
+    return options.model_copy(update={"reset": reset.model_copy(update={"keyframe": HOME})})
 
 
 class Mjcf(MujocoEnv):

@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from core.environments.info import EnvironmentInfo
+from core.environments.mjcf.edit_options import ModelEdits
 from core.environments.terms.task import TaskOptions
 from core.physics.availability import BodySize, Rule
 
@@ -17,6 +18,10 @@ class MjcfOptions(TaskOptions):
     """A user's model with its reward, observation and termination terms; only the model has no default."""
 
     model: ModelId
+    edits: ModelEdits = Field(
+        default=ModelEdits(),
+        description="Changes of the model before it is compiled: servos, contacts, pose.",
+    )
 
 
 INFO = EnvironmentInfo(

@@ -12,7 +12,7 @@ from core.environments import catalog
 from core.environments.environment import Environment, State
 from core.environments.mjcf.environment import Mjcf
 from core.environments.numbers import NotSimulated
-from core.errors import Rejected
+from core.errors import JobFailed, Rejected
 from tests.unit.environments.mjcf.probe import KEY, XML, build
 from tests.unit.environments.mjcf.test_environment import NO_TORQUE, moving
 
@@ -181,3 +181,24 @@ def test_a_robot_stands_in_its_pose_and_sees_what_the_row_names() -> None:
     assert float(state.metrics["velocity_error"]) < 0.05
     assert state.obs.shape == (info.observation_size,)
     assert info.spaces.observation_size == info.observation_size
+
+
+def test_a_model_gets_servos_a_pose_and_then_a_task(tmp_path: Path) -> None:
+    edits = {
+        "servos": [{"joints": ["elbow"], "kp": 8.0, "kd": 0.5, "effort": 4.0, "armature": 0.01}],
+        "pose": {"joints": {"elbow": 0.3}, "height": 0.7},
+    }
+    action = {"kind": "joint_position"}
+    environment = build(tmp_path, edits=edits, action=action, observation=[{"kind": "joint_positions"}])
+    assert isinstance(environment, Mjcf)
+    state = environment.reset(KEY)
+    assert state.physics.qpos.tolist() == pytest.approx([0, 0, 0.7, 1, 0, 0, 0, 0.3])
+    assert state.obs.tolist() == [0.0]
+    # A quarter of 4 N m pushes 4 / 8 / 4 = 0.125 rad from the pose.
+    assert environment._control(jnp.array([1.0])).tolist() == pytest.approx([0.425])
+
+
+def test_gains_that_blow_up_end_the_job(tmp_path: Path) -> None:
+    servos = [{"joints": ["elbow"], "kp": 5000.0, "kd": 100.0}]
+    with pytest.raises(JobFailed, match="does not hold the pose at a timestep"):
+        build(tmp_path, edits={"servos": servos, "integrator": "euler"})
