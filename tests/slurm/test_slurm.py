@@ -82,9 +82,10 @@ def test_hosts_that_share_a_job_start_together_drain_and_go_on_together(workers:
     coordinator = f"environment = {{GAITWAY_COORDINATOR = '127.0.0.1:{free_ports(1)[0]}'}}\n"
     workers.keep_workers(OPTIONS.replace("[cpu]", coordinator + "[cpu]\nhosts = [2]"))
     two = {"accelerator": "cpu", "hosts": 2}
-    alone = workers.ended(workers.submit(STEPS // 2, resources=two))
-    job = workers.submit(STEPS // 2, resources=two)
-    workers.slurm.command("scancel", where(workers.trains(job, STEPS // 8))["id"])
+    # On the two processors of one machine, the parts wait for each other at every update.
+    alone = workers.ended(workers.submit(STEPS // 10, resources=two))
+    job = workers.submit(STEPS // 10, resources=two)
+    workers.slurm.command("scancel", where(workers.trains(job, STEPS // 50))["id"])
     ended = workers.ended(job)
     assert [attempt.reason for attempt in ended.attempts] == ["worker_drained", "completed"]
     assert result(ended) == result(alone)
