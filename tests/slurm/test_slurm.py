@@ -108,14 +108,15 @@ def test_a_preempted_worker_drains_and_another_one_goes_on(
 def test_a_time_limit_in_mid_training_is_a_drain_before_it(workers: World) -> None:
     limited = OPTIONS.replace("[cpu]", "[cpu]\ntime = '1:00'")
     workers.keep_workers(limited)
-    job = workers.submit(2 * STEPS, seed=7)
+    wait_until(lambda: not workers.allocations(), 90)  # One without a limit would take the job.
+    job = workers.submit(STEPS, seed=7)
     ended = workers.ended(job, 600)
     reasons = [attempt.reason for attempt in ended.attempts]
     assert reasons[-1] == "completed"
     assert set(reasons[:-1]) == {"worker_drained"}
     assert "TIMEOUT" not in "".join(workers.worker_logs().values())
     workers.keep_workers(OPTIONS)
-    assert result(workers.ended(workers.submit(2 * STEPS, seed=7), 600)) == result(ended)
+    assert result(workers.ended(workers.submit(STEPS, seed=7), 600)) == result(ended)
 
 
 def test_a_slurmd_that_is_killed_loses_nothing(workers: World, undisturbed: Mapping[str, str]) -> None:
