@@ -116,6 +116,8 @@ def _of_pattern(pattern: str, names: Sequence[str], kind: str, pointer: str) -> 
 
 def edited(model: Inventory, edits: ModelEdits) -> Inventory:
     """The parts of the model after changes that fit it; of its height and sensors nothing is known anew."""
+    if edits == ModelEdits():  # One that was described before colliders were keeps its number of pairs.
+        return model
     actuators = _actuators(model, edits.servos)
     floor = [floor_name(model.geoms)] if _needs_floor(model, edits) else []
     keyframes = [name for name in model.keyframes if name != HOME]
