@@ -12,6 +12,8 @@ from core.environments.patterns import by_name
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.term import Array, Term
+from core.errors import JobFailed
+from core.reasons import Reason
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,19 @@ class _Noted(Mapping[str, np.ndarray]):
 def servo_targets(
     action: JointPositionAction, model: mujoco.MjModel, pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The controls [nu] for an action of 0, and what an action of 1 adds to them. pose: positions [nq]."""
+    """The controls [nu] for an action of 0, and what an action of 1 adds to them. pose: positions [nq].
+
+    Raises JobFailed("bad_model") for an actuator that is no position servo of a joint.
+    """
+    on_a_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    others = np.flatnonzero(~on_a_joint | (model.actuator_biasprm[:, 1] >= 0))
+    if others.size:
+        name = model.actuator(others[0]).name
+        raise JobFailed(
+            Reason.BAD_MODEL,
+            f"The actuator {name!r} is no position servo, so an action cannot be its target: give its joint "
+            "one in `edits.servos`, or take the action `control`.",
+        )
     joints = model.actuator_trnid[:, 0]
     names = [model.joint(joint).name for joint in joints]
     stiffness, forces = model.actuator_gainprm[:, 0], model.actuator_forcerange[:, 1]

@@ -202,3 +202,8 @@ def test_gains_that_blow_up_end_the_job(tmp_path: Path) -> None:
     servos = [{"joints": ["elbow"], "kp": 5000.0, "kd": 100.0}]
     with pytest.raises(JobFailed, match="does not hold the pose at a timestep"):
         build(tmp_path, edits={"servos": servos, "integrator": "euler"})
+
+
+def test_a_motor_is_not_taken_for_a_servo(tmp_path: Path) -> None:
+    with pytest.raises(JobFailed, match="'elbow' is no position servo"):
+        build(tmp_path, action={"kind": "joint_position"})
