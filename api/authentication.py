@@ -1,6 +1,6 @@
 """Finds out who makes a request, by its token or the page's session; counts the requests of each.
 
-What the record said of either is used for two seconds. So a token that is revoked, a user who is disabled
+The record's answer about either is used for two seconds. So a token that is revoked, a user who is disabled
 and a role that is taken away have no effect any more after two seconds, in every process.
 """
 

@@ -23,8 +23,8 @@ _SYNTAX = (
 
 @lru_cache(maxsize=256)
 def _matcher(pattern: str) -> SchemaValidator:
-    """Of whole names, by Rust's regular expressions, as pydantic has them: their time grows with the name
-    alone, whatever the pattern. Raises SchemaError, and ValueError for what we do not take."""
+    """The matcher of whole names, by pydantic's regular expressions, which are Rust's: their time grows with
+    the name alone, whatever the pattern. Raises SchemaError, and ValueError for what we do not take."""
     if "{" in pattern:
         raise ValueError(_COUNTS)
     if re.search(r"\(\?(?!:)", re.sub(r"\\.", "", pattern)):

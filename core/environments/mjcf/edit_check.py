@@ -115,7 +115,7 @@ def _of_pattern(pattern: str, names: Sequence[str], kind: str, pointer: str) -> 
 
 
 def edited(model: Inventory, edits: ModelEdits) -> Inventory:
-    """The parts of the model after changes that fit it; of its height and sensors nothing is known anew."""
+    """The parts of the model after changes that fit it; its height and its sensors are told as before."""
     if edits == ModelEdits():  # One that was described before colliders were keeps its number of pairs.
         return model
     actuators = _actuators(model, edits.servos)

@@ -29,7 +29,7 @@ _DEEPEST_M = 0.01
 
 
 def problems(model: mujoco.MjModel, edits: ModelEdits, pointer: str) -> Iterator[Problem]:
-    """What is wrong with the pose and the servos of a model that these changes made. pointer: theirs."""
+    """The problems of the pose and the servos of a model that these changes made. pointer: theirs."""
     qpos = model.key(HOME).qpos if edits.pose is not None else initial_qpos(model)
     if edits.pose is not None:
         yield from _under_the_floor(model, edits, qpos, pointer)

@@ -1,4 +1,4 @@
-"""What the catalog knows of a robot before its file is read; no numerical code."""
+"""A robot as the catalog knows it before its file is read; no numerical code."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
