@@ -169,13 +169,12 @@ class Mjcf(MujocoEnv):
 
     def _pushed(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> PhysicsState:
         """The physics after the events of this step."""
-        start = int(self.model.jnt_dofadr[self.model.body_jntadr[self.tracked_body]])
         nothing = jnp.zeros(self.action_size)
         for number, event in enumerate(self._options.events):
             step = Step(physics, physics, nothing, nothing, self.dt, jnp)
             change = event.drawn(self._uniform(info, event.num_random, 3 + number), step)
             change = jnp.where(self._is_due(info, event.every_s), change, 0.0)
-            physics = replace(physics, qvel=physics.qvel.at[start : start + 6].add(change))
+            physics = replace(physics, qvel=physics.qvel.at[self._parts.root_velocities].add(change))
         return physics
 
     def _is_due(self, info: Mapping[str, jax.Array], every_s: float) -> jax.Array:

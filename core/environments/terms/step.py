@@ -134,10 +134,15 @@ class ModelIndex:
         chosen = by_name(values, names)
         return np.array([chosen.get(name, 0.0) for name in names])
 
+    @property
+    def root_velocities(self) -> slice:
+        """The places in qvel of the root's free joint."""
+        start = int(self.model.jnt_dofadr[self.model.body_jntadr[self.root]])
+        return slice(start, start + 6)
+
     def velocities(self, step: Step) -> Array:
         """Those of the root's free joint [6]: linear along the world's axes, angular about its own."""
-        start = int(self.model.jnt_dofadr[self.model.body_jntadr[self.root]])
-        return step.after.qvel[start : start + 6]
+        return step.after.qvel[self.root_velocities]
 
     def base_linear_velocity(self, step: Step) -> Array:
         """The root's, along its own axes, [3] in m/s."""

@@ -17,6 +17,8 @@ from core.environments.robots import model as models
 from core.environments.robots.g1 import G1
 from core.environments.robots.go1 import GO1
 from core.environments.robots.robot import Robot
+from core.environments.terms.actions import JointPositionAction
+from core.environments.terms.binding import servo_targets
 from core.errors import JobFailed
 from core.jobs.workers import how_to_install
 from core.physics.choose import engine_builder
@@ -66,7 +68,8 @@ def test_the_go1_has_its_motors(go1: mujoco.MjModel) -> None:
     assert armature(go1, "FL_calf_joint") == pytest.approx(81 * 1.11842e-4)
     assert go1.actuator("RR_calf_joint").forcerange.tolist() == [-35.55, 35.55]
     # A quarter of the effort against the spring: 0.25 · 35.55 / (81 · 1.11842e-4 · (20 π)²).
-    assert GO1.action_scale[".*_calf_joint"] == pytest.approx(0.2485, abs=1e-4)
+    _, scale = servo_targets(JointPositionAction(), go1, go1.qpos0)
+    assert scale[go1.actuator("FL_calf_joint").id] == pytest.approx(0.2485, abs=1e-4)
 
 
 def test_a_robot_begins_on_its_feet(g1: mujoco.MjModel, go1: mujoco.MjModel) -> None:
