@@ -10,11 +10,11 @@ from core.environments.catalog import make, resolve
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.environments.dm_control.corridor.walkers import WALKERS
-from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import compiled
 from core.environments.robots.info import ROBOTS
 from core.environments.robots.info import TABLE as ROBOTS_TABLE
 from core.environments.robots.model import spec
+from core.environments.terms.describe import inventory
 from core.physics.choose import engine_builder
 
 _OBSERVES_BODIES = ("humanoid", "rodent")

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import pytest
 
-from core.environments.mjcf.describe import inventory
+from core.environments.terms.describe import inventory
 from tests.api.conftest import Stack
 from tests.api.test_models import DESCRIPTION, worker
 

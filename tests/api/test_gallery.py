@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from bench.pictures import SHOWN as FILMED
 from core.environments import catalog
-from core.environments.mjcf.describe import inventory
+from core.environments.terms.describe import inventory
 from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import JobQuery

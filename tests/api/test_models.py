@@ -17,7 +17,7 @@ import pytest
 
 from api.routes import models as route
 from core.environments.mjcf.archive import examine
-from core.environments.mjcf.describe import inventory
+from core.environments.terms.describe import inventory
 from core.jobs.reconciliation import Reconciler
 from core.physics.availability import beyond_compiled
 from core.storage import keys

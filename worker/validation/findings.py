@@ -8,8 +8,8 @@ from typing import get_args
 import mujoco
 import numpy as np
 
-from core.environments.mjcf.describe import can_go_forward, inventory, root_of
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, is_to_sleep, read
+from core.environments.terms.describe import can_go_forward, inventory, root_of
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.task import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.errors import BadModel

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.environments.mjcf.describe import root_of
+from core.environments.terms.describe import root_of
 from core.environments.terms.inventory import Inventory
 from core.physics.coverage import slippery_contacts
 from core.physics.model import initial_qpos

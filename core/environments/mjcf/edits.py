@@ -1,6 +1,5 @@
 """Changes of a specification before it is compiled, as `edit_options` describes them."""
 
-import copy
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
@@ -8,7 +7,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.environments.mjcf.describe import moving_geoms
 from core.environments.mjcf.edit_options import (
     HOME,
     Collide,
@@ -21,6 +19,7 @@ from core.environments.mjcf.edit_options import (
 )
 from core.environments.mjcf.model import compiled, name_parts
 from core.environments.patterns import Patterns, matches, matching
+from core.environments.terms.describe import near_world
 from core.errors import JobFailed
 from core.physics.compiled.coverage import uncovered
 from core.physics.model import initial_qpos
@@ -47,7 +46,6 @@ _INTEGRATORS = {
 # Viewers draw the groups 0 to 2, and hide what is there for contacts alone.
 _GROUP_OF_CONTACTS = 3
 _SLIDING = 0
-_FAR = 100.0
 _WITH_FRICTION = 3
 
 
@@ -352,16 +350,3 @@ def clearance(model: mujoco.MjModel, qpos: np.ndarray) -> float | None:
     in it; None if they can touch nothing of it."""
     _, contacts = near_world(model, qpos)
     return min((float(contact.dist) for contact in contacts), default=None)
-
-
-def near_world(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[mujoco.MjData, list[Any]]:
-    """The model in these positions [nq], and the contacts that it has with the world at whatever distance."""
-    near, data = copy.copy(model), mujoco.MjData(model)
-    for margins in (near.geom_margin, near.body_margin, near.pair_margin):
-        margins[:] = _FAR
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(near, data)
-    mujoco.mj_comPos(near, data)
-    mujoco.mj_collision(near, data)
-    moves = moving_geoms(model)
-    return data, [contact for contact in data.contact if not moves[list(contact.geom)].all()]

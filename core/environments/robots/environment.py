@@ -1,17 +1,17 @@
 """A robot of the catalog as an environment."""
 
-from core.environments.mjcf.describe import inventory
-from core.environments.mjcf.environment import Mjcf
 from core.environments.mjcf.model import compiled
 from core.environments.robots.info import ROBOTS
 from core.environments.robots.model import spec
+from core.environments.task import TaskEnv
+from core.environments.terms.describe import inventory
 from core.environments.terms.task import TaskOptions
 from core.physics.engine import EngineBuilder
 
 
-def make(options: TaskOptions, build_engine: EngineBuilder, robot: str) -> Mjcf:
+def make(options: TaskOptions, build_engine: EngineBuilder, robot: str) -> TaskEnv:
     """The robot's task under these options. Raises JobFailed("bad_model") where its package is missing."""
     edited = spec(ROBOTS[robot])
     parts = inventory(compiled(edited))
     stepped = compiled(edited, options.timestep, options.contacts, options.sensors)
-    return Mjcf(options, parts, edited, stepped, build_engine)
+    return TaskEnv(options, parts, edited, stepped, build_engine)

@@ -21,8 +21,8 @@ from core.environments.cpg.roles import decode
 from core.environments.describe_bodies import described
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo, Slice, Spaces, in_order, named
-from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.info import MjcfOptions
+from core.environments.terms.describe import inventory
 from core.environments.terms.task import task_slices
 from core.physics.choose import engine_builder
 from tests.unit.environments.mjcf import probe

@@ -10,8 +10,8 @@ import pytest
 
 from core.environments import catalog
 from core.environments.mjcf.check import problems
-from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.info import MjcfOptions
+from core.environments.terms.describe import inventory
 from core.environments.terms.inventory import Inventory
 from core.errors import Rejected
 from core.jobs.spec import JOB_SPEC, TrainSpec

@@ -7,11 +7,11 @@ import mujoco
 import pytest
 
 from core.environments.mjcf import holding
-from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.edit_check import edited, problems
 from core.environments.mjcf.edit_options import HOME, ModelEdits
 from core.environments.mjcf.edits import edit
-from core.environments.mjcf.feet import feet_of
+from core.environments.terms.describe import inventory
+from core.environments.terms.feet import feet_of
 from tests.unit.environments.mjcf.test_edits import DOG, FLOOR, MOTORS, SERVO
 from tests.unit.environments.mjcf.test_edits import edited as compiled
 

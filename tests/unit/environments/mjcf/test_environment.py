@@ -13,9 +13,9 @@ import pytest
 
 from core.environments import catalog
 from core.environments.environment import State
-from core.environments.mjcf.describe import inventory
-from core.environments.mjcf.environment import Mjcf
 from core.environments.mjcf.info import MjcfOptions
+from core.environments.task import TaskEnv
+from core.environments.terms.describe import inventory
 from core.errors import JobFailed
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
@@ -226,7 +226,7 @@ def test_an_episode_begins_in_the_motion_of_its_keyframe(engine: EngineName, tmp
     mujoco.mj_step(model, data)
     after = jax.jit(environment.step)(start, jnp.array([0.5]))
     np.testing.assert_allclose(after.obs, [*data.qpos, *data.qvel, *data.act], rtol=1e-5)
-    assert isinstance(environment, Mjcf)
+    assert isinstance(environment, TaskEnv)
     recipe = environment.simulation()
     np.testing.assert_allclose([*recipe.qpos, *recipe.qvel, *recipe.act], [0.4, 3.0, 0.7], rtol=1e-6)
     # Noise comes on top.
@@ -244,7 +244,7 @@ def test_the_ant_made_of_terms_is_the_ant() -> None:
     model = spec.compile()
     chosen = catalog.parse_options(catalog.find("mjcf"), options(**ANT))
     assert isinstance(chosen, MjcfOptions)
-    made = Mjcf(chosen, inventory(model), spec, model, engine_builder("native"))
+    made = TaskEnv(chosen, inventory(model), spec, model, engine_builder("native"))
     assert (made.observation_size, made.dt) == (builtin.observation_size, pytest.approx(builtin.dt))
     step, again = jax.jit(jax.vmap(builtin.step)), jax.jit(jax.vmap(made.step))
     ants = jax.vmap(builtin.reset)(jax.random.split(jax.random.key(1), 16))

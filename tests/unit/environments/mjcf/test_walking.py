@@ -10,8 +10,8 @@ import pytest
 
 from core.environments import catalog
 from core.environments.environment import Environment, State
-from core.environments.mjcf.environment import Mjcf
 from core.environments.numbers import NotSimulated
+from core.environments.task import TaskEnv
 from core.errors import JobFailed, Rejected
 from tests.unit.environments.mjcf.probe import KEY, XML, build
 from tests.unit.environments.mjcf.test_environment import NO_TORQUE, moving
@@ -108,7 +108,7 @@ def test_an_action_moves_a_servos_target_about_the_pose(tmp_path: Path) -> None:
     for scale, expected in ((None, 0.25 * 2 / 4), (0.4, 0.4), ({"elb.*": 0.3}, 0.3)):
         action = {"kind": "joint_position", "scale": scale}
         environment = build(tmp_path, SERVO, action=action, reset=reset)
-        assert isinstance(environment, Mjcf)
+        assert isinstance(environment, TaskEnv)
         assert environment._control(jnp.array([1.0])).tolist() == pytest.approx([0.5 + expected])
 
 
@@ -139,7 +139,7 @@ def test_feet_follow_the_clock_while_the_command_is_to_move(tmp_path: Path) -> N
 
 def test_a_body_that_follows_commands_is_not_pushed_on_the_page(tmp_path: Path) -> None:
     environment = build(tmp_path, command=FORWARD, observation=[{"kind": "command"}], reward=[TRACKS])
-    assert isinstance(environment, Mjcf)
+    assert isinstance(environment, TaskEnv)
     with pytest.raises(NotSimulated, match="follows commands"):
         environment.simulation()
 
@@ -190,7 +190,7 @@ def test_a_model_gets_servos_a_pose_and_then_a_task(tmp_path: Path) -> None:
     }
     action = {"kind": "joint_position"}
     environment = build(tmp_path, edits=edits, action=action, observation=[{"kind": "joint_positions"}])
-    assert isinstance(environment, Mjcf)
+    assert isinstance(environment, TaskEnv)
     state = environment.reset(KEY)
     assert state.physics.qpos.tolist() == pytest.approx([0, 0, 0.7, 1, 0, 0, 0, 0.3])
     assert state.obs.tolist() == [0.0]

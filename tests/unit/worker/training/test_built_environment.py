@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import pytest
 
-from core.environments.mjcf.environment import Mjcf
+from core.environments.task import TaskEnv
 from core.errors import JobFailed
 from core.jobs.spec import JOB_SPEC
 from core.physics.availability import EngineName, PhysicsChoice
@@ -167,7 +167,7 @@ def test_a_sensor_that_a_job_does_not_read_keeps_no_engine_from_it(tmp_path: Pat
     for reads, num_read in ((turns, 3), (touches, 1)):
         built = build_environment(own(tmp_path, reads))
         assert built.engine == "compiled"
-        assert isinstance(built.environment, Mjcf)
+        assert isinstance(built.environment, TaskEnv)
         assert built.environment.model.nsensordata == num_read
 
 

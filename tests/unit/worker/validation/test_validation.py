@@ -14,8 +14,8 @@ import psutil
 import pytest
 
 from core.adapters.postgres.store import PostgresJobStore
-from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, read
+from core.environments.terms.describe import inventory
 from core.errors import BadModel, ModelNotFound
 from core.jobs.job import utc_now
 from core.physics import trial

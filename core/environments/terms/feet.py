@@ -7,9 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.environments.mjcf.describe import moving_geoms, touchable
-from core.environments.mjcf.edits import near_world
 from core.environments.patterns import matching
+from core.environments.terms.describe import moving_geoms, near_world, touchable
 
 # m: points of a sole are at most so much above its lowest one.
 _FLAT = 0.005

@@ -1,5 +1,6 @@
 """The contents of a compiled model."""
 
+import copy
 from collections.abc import Callable, Iterator
 from itertools import chain, islice
 from typing import Any, Literal
@@ -22,6 +23,7 @@ _MOST_PAIRS = 10_000
 _TRIED_POSES = 5
 # m of the body per rad or m of a joint: less is rounding.
 _NO_MOTION = 1e-9
+_FAR = 100.0
 
 
 def inventory(model: mujoco.MjModel) -> Inventory:
@@ -216,3 +218,16 @@ def _actuator(model: mujoco.MjModel, number: int) -> Actuator:
 def _sensor(model: mujoco.MjModel, number: int) -> Sensor:
     kind = mujoco.mjtSensor(int(model.sensor_type[number])).name.removeprefix("mjSENS_").lower()
     return Sensor(name=model.sensor(number).name, type=kind, size=int(model.sensor_dim[number]))
+
+
+def near_world(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[mujoco.MjData, list[Any]]:
+    """The model in these positions [nq], and the contacts that it has with the world at whatever distance."""
+    near, data = copy.copy(model), mujoco.MjData(model)
+    for margins in (near.geom_margin, near.body_margin, near.pair_margin):
+        margins[:] = _FAR
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(near, data)
+    mujoco.mj_comPos(near, data)
+    mujoco.mj_collision(near, data)
+    moves = moving_geoms(model)
+    return data, [contact for contact in data.contact if not moves[list(contact.geom)].all()]

@@ -1,0 +1,252 @@
+"""An environment made of a model and of terms."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from core.environments.environment import State
+from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
+from core.environments.numbers import Noise, NotSimulated
+from core.environments.simulation import Simulation
+from core.environments.terms.actions import JointPositionAction
+from core.environments.terms.binding import bound, servo_targets
+from core.environments.terms.describe import height_of, root_of
+from core.environments.terms.inventory import Inventory
+from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
+from core.environments.terms.step import ModelIndex, Step
+from core.environments.terms.task import TaskOptions, metric_names, observed
+from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
+from core.environments.terms.vocabulary import AnyReward
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+from core.physics.model import initial_qpos
+
+_SECONDS_PER_ACTION = 0.02
+_LOWEST, _HIGHEST = 0.4, 2.0
+# Folded into a reset's key: the key of the episode's own random numbers.
+_OF_THE_EPISODE = 7
+
+
+class TaskEnv(MujocoEnv):
+    """Reward: the weighted sum of the terms. An episode ends when one of the termination terms says so.
+
+    An action of ±1 is an end of a control's range; without a range, the action is the control itself.
+    """
+
+    def __init__(
+        self,
+        options: TaskOptions,
+        parts: Inventory,
+        spec: mujoco.MjSpec,
+        model: mujoco.MjModel,
+        build_engine: EngineBuilder,
+    ) -> None:
+        root = model.body(options.root).id if options.root else root_of(model)
+        start = _start(model, options)
+        named = ModelIndex(model, root, start, *_feet(model, options.feet, start))
+        paid = options.reward or _default_reward()
+        self._names = metric_names(paid)
+        self._weights = [term.sign * term.weight for term in paid]
+        self._rewards = [bound(term, named) for term in paid]
+        seen = observed(options)
+        self._seen = [bound(term, named) for term in seen]
+        self._targets = None
+        if isinstance(options.action, JointPositionAction):
+            self._targets = servo_targets(options.action, model, start)
+        self._options = options
+        height = height_of(model, start, root)
+        ends = _default_ends(parts, height) if options.termination is None else options.termination
+        self._ends = [bound(term, named) for term in ends]
+        where = () if named.free_joint(root) is not None else ("xpos",)
+        fields = set(where).union(*(term.derived for term in (*self._rewards, *self._seen, *self._ends)))
+        num_substeps = options.n_frames or max(1, round(_SECONDS_PER_ACTION / model.opt.timestep))
+        accelerated = SolverSettings(
+            options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
+        )
+        engine = build_engine(model, num_substeps, tuple(sorted(fields)), accelerated=accelerated)
+        super().__init__(model, engine, num_substeps=num_substeps, observation_size=0, tracked_body=root)
+        self.initial_qpos = jnp.asarray(start, jnp.float32)
+        self.initial_qvel, self.initial_act = _motion(model, options)
+        self._spec, self._parts = spec, named
+        self._observation, self._termination = seen, ends
+        self._is_random = bool(options.command or options.gait or options.events) or any(
+            term.noise for term in seen
+        )
+        self.observation_size = sum(term.size for term in self._seen)
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        reset, options = self._options.reset, self._options
+        physics = noisy_start(
+            self,
+            key,
+            model,
+            reset.position_noise,
+            velocity_scale=reset.velocity_noise,
+            normal_velocity=reset.velocity_distribution == "normal",
+        )
+        nothing = jnp.zeros(self.action_size)
+        step = Step(physics, physics, nothing, nothing, self.dt, jnp)
+        info: dict[str, jax.Array] = {
+            "previous_action": nothing,
+            "start": self._parts.position(physics, self.tracked_body),
+        }
+        if self._is_random:
+            info["key"] = jax.random.key_data(jax.random.fold_in(key, _OF_THE_EPISODE))
+            info["steps"] = jnp.zeros((), jnp.int32)
+        if options.command:
+            info["command"] = options.command.drawn(self._uniform(info, options.command.num_random, 0), step)
+        if options.gait:
+            info["phase"] = self._uniform(info, 1, 1)[0]
+        return initial(self._after(replace(step, command=info.get("command")), info))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        info = dict(state.info)
+        if self._is_random:
+            info["steps"] = info["steps"] + 1
+        before = self._pushed(state.physics, info)
+        physics = self.engine.step(before, self._control(action))
+        previous = info["previous_action"]
+        step = Step(before, physics, action, previous, self.dt, jnp, info.get("command"))
+        info["previous_action"] = action
+        if (gait := self._options.gait) is not None:
+            info["phase"] = (info["phase"] + gait.frequency * self.dt) % 1.0
+        if (command := self._options.command) is not None:
+            # The step is judged by the command that its action knew.
+            fresh = command.drawn(self._uniform(info, command.num_random, 0), step)
+            info["command"] = jnp.where(self._is_due(info, command.every_s), fresh, info["command"])
+        return self._after(step, info)
+
+    def _control(self, action: jax.Array) -> jax.Array:
+        if self._targets is None:
+            return scaled_to_control(self.model, action)
+        offset, gain = map(jnp.asarray, self._targets)
+        return offset + gain * action
+
+    def _pushed(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> PhysicsState:
+        """The physics after the events of this step."""
+        nothing = jnp.zeros(self.action_size)
+        for number, event in enumerate(self._options.events):
+            step = Step(physics, physics, nothing, nothing, self.dt, jnp)
+            change = event.drawn(self._uniform(info, event.num_random, 3 + number), step)
+            change = jnp.where(self._is_due(info, event.every_s), change, 0.0)
+            physics = replace(physics, qvel=physics.qvel.at[self._parts.root_velocities].add(change))
+        return physics
+
+    def _is_due(self, info: Mapping[str, jax.Array], every_s: float) -> jax.Array:
+        return info["steps"] % max(1, round(every_s / self.dt)) == 0
+
+    def _uniform(self, info: Mapping[str, jax.Array], number: int, purpose: int) -> jax.Array:
+        """Random numbers [number] in [0, 1) of this step, for one purpose."""
+        of_the_step = jax.random.fold_in(jax.random.wrap_key_data(info["key"]), info["steps"])
+        return jax.random.uniform(jax.random.fold_in(of_the_step, purpose), (number,))
+
+    def simulation(self) -> Simulation:
+        reset = self._options.reset
+        if self._options.command is not None:
+            raise NotSimulated("it follows commands")
+        return self.simulated(
+            self._spec,
+            observation=[term.shown(self._parts) for term in self._observation],
+            noise=Noise(
+                reset.position_noise, reset.velocity_noise, is_normal=reset.velocity_distribution == "normal"
+            ),
+            ends=[term.ends(self._parts) for term in self._termination],
+            control_range=self._ends_of_control(),
+        )
+
+    def _ends_of_control(self) -> tuple[np.ndarray, np.ndarray]:
+        """The controls [nu] for actions of −1 and 1."""
+        if self._targets is None:
+            return control_range(self.model)
+        offset, gain = self._targets
+        return offset - gain, offset + gain
+
+    def _after(self, step: Step, info: Mapping[str, jax.Array]) -> State:
+        if (gait := self._options.gait) is not None:
+            step = replace(step, phases=gait.phases(info["phase"], step))
+        ended = [term.measure(step) for term in self._ends]
+        return self.stepped(
+            step.after,
+            self._observe(step, info),
+            rewards={
+                name: weight * term.measure(step)
+                for name, weight, term in zip(self._names, self._weights, self._rewards, strict=True)
+            },
+            done=jnp.max(jnp.stack(ended)) if ended else jnp.zeros(()),
+            metrics=self._of_the_body(step, info["start"]),
+            info=info,
+        )
+
+    def _observe(self, step: Step, info: Mapping[str, jax.Array]) -> jax.Array:
+        step = replace(step, command=info.get("command"))
+        noise = None
+        if any(term.noise for term in self._observation):
+            noise = self._uniform(info, self.observation_size, 2)
+        seen: list[jax.Array] = []
+        start = 0
+        for term, part in zip(self._observation, self._seen, strict=True):
+            uniform = None if noise is None else noise[start : start + part.size]
+            seen.append(term.seen(step, self._parts, uniform))
+            start += part.size
+        return jnp.concatenate(seen)
+
+    def _of_the_body(self, step: Step, start: jax.Array) -> dict[str, jax.Array]:
+        """The root's position and velocity, and how far it is from the command: m, m/s, rad/s."""
+        position = self._parts.position(step.after, self.tracked_body)
+        velocity = self._parts.velocity(step, self.tracked_body)
+        followed: dict[str, jax.Array] = {}
+        if step.command is not None:
+            moving = self._parts.base_linear_velocity(step)[:2]
+            followed["velocity_error"] = jnp.linalg.norm(moving - step.command[:2])
+            turning = self._parts.base_angular_velocity(step)[2]
+            followed["turn_error"] = jnp.abs(turning - step.command[2])
+        return {
+            **followed,
+            "x_position": position[0],
+            "y_position": position[1],
+            "height": position[2],
+            "x_velocity": velocity[0],
+            "y_velocity": velocity[1],
+            "distance_from_start": jnp.linalg.norm(position[:2] - start[:2]),
+        }
+
+
+def _default_reward() -> list[AnyReward]:
+    return [ForwardVelocity(), Alive(), ControlCost(weight=0.05)]
+
+
+def _default_ends(parts: Inventory, height: float) -> Sequence[TerminationTerm]:
+    if not parts.travels or height <= 0:
+        return []
+    return [OutsideHeightRange(range=(_LOWEST * height, _HIGHEST * height))]
+
+
+def _start(model: mujoco.MjModel, options: TaskOptions) -> np.ndarray:
+    """Positions [nq] at the start of an episode, before noise."""
+    reset = options.reset
+    if reset.qpos is not None:
+        return np.array(reset.qpos)
+    return initial_qpos(model) if reset.keyframe is None else np.array(model.key(reset.keyframe).qpos)
+
+
+def _feet(model: mujoco.MjModel, names: Sequence[str], start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Their bodies' numbers, and their heights at the start, [feet] in m."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    mujoco.mj_kinematics(model, data)
+    feet = np.array([model.body(name).id for name in names], int)
+    return feet, data.xpos[feet, 2].copy()
+
+
+def _motion(model: mujoco.MjModel, options: TaskOptions) -> tuple[jax.Array | None, jax.Array | None]:
+    """The velocities [nv] and the states of actuators [na] of the keyframe; None for those that are 0."""
+    if options.reset.keyframe is None:
+        return None, None
+    key = model.key(options.reset.keyframe)
+    qvel, act = (
+        jnp.asarray(values, jnp.float32) if np.any(values) else None for values in (key.qvel, key.act)
+    )
+    return qvel, act
