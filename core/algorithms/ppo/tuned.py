@@ -284,10 +284,10 @@ _JOYSTICK: Mapping[str, Any] = {
     "num_evals": 2,
     "num_eval_envs": 128,
     "num_updates_per_batch": 4,
-    "learning_rate": 1e-3,
+    "learning_rate": 2e-3,
     "learning_rate_schedule": "LINEAR",
-    "entropy_cost": 5e-3,
-    "discounting": 0.985,
+    "entropy_cost": 0.01,
+    "discounting": 0.97,
     "reward_scaling": 0.15,
     "clipping_epsilon": 0.2,
     "max_grad_norm": 1.0,
@@ -302,16 +302,16 @@ def _joystick(steps: int, steps_on_a_cpu: int) -> Mapping[Device, PPOSpec]:
     """The values for a robot that walks by command."""
     on_a_gpu = {
         "num_envs": 8192,
-        "unroll_length": 12,
-        "batch_size": 2048,
+        "unroll_length": 6,
+        "batch_size": 1024,
         "num_minibatches": 8,
         "policy_hidden_layer_sizes": [256, 256, 128],
         "value_hidden_layer_sizes": [256, 256, 128],
     }
     on_a_cpu = {
         "num_envs": 256,
-        "unroll_length": 16,
-        "batch_size": 256,
+        "unroll_length": 8,
+        "batch_size": 128,
         "num_minibatches": 8,
         "policy_hidden_layer_sizes": [128, 128, 64],
         "value_hidden_layer_sizes": [128, 128, 64],
@@ -322,8 +322,8 @@ def _joystick(steps: int, steps_on_a_cpu: int) -> Mapping[Device, PPOSpec]:
     }
 
 
-G1 = _joystick(100_000_000, 20_000_000)
-GO1 = _joystick(60_000_000, 6_000_000)
+G1 = _joystick(20_000_000, 10_000_000)
+GO1 = _joystick(15_000_000, 4_000_000)
 
 
 def corridor(options: CorridorOptions) -> Mapping[Device, PPOSpec]:

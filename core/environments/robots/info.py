@@ -72,7 +72,7 @@ def _walks(swing: float, posture: Posture, more: Sequence[AnyReward] = ()) -> li
     """The reward of a robot that walks by command. swing: the highest point of a foot's swing, in m."""
     return [
         TrackLinearVelocity(weight=2.0),
-        TrackAngularVelocity(weight=1.5),
+        TrackAngularVelocity(weight=2.0),
         SwingHeight(height=swing),
         FlatOrientation(),
         posture,
@@ -97,6 +97,12 @@ class JoystickOptions(TaskOptions):
     )
     events: Events = Field(default=[], description="What happens to the body within an episode.")
     reset: Reset = Reset(keyframe=HOME, position_noise=0.02, velocity_noise=0.2)
+    iterations: int = Field(
+        default=3, ge=1, le=100, description="Solver iterations on mjx, warp and compiled."
+    )
+    ls_iterations: int = Field(
+        default=5, ge=1, le=100, description="Line-search iterations on mjx, warp and compiled."
+    )
 
 
 class G1Options(JoystickOptions):

@@ -21,7 +21,7 @@ class JointPositionAction(Strict):
     kind: Literal["joint_position"] = "joint_position"
     scale: Real | PerName | None = Field(
         default=None,
-        description="rad or m for an action of 1: one number, or by joint; null: where a quarter of the "
+        description="rad or m for an action of 1: one number, or by joint; null: where half of the "
         f"servo's greatest force pushes, or 0.25 where it has no limit. {PATTERNS}",
     )
 

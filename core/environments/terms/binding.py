@@ -75,7 +75,7 @@ def servo_targets(
     names = [model.joint(joint).name for joint in joints]
     stiffness, forces = model.actuator_gainprm[:, 0], model.actuator_forcerange[:, 1]
     limited = model.actuator_forcelimited.astype(bool)
-    scale = np.where(limited, 0.25 * forces / np.maximum(stiffness, 1e-9), 0.25)
+    scale = np.where(limited, 0.5 * forces / np.maximum(stiffness, 1e-9), 0.25)
     if isinstance(action.scale, dict):
         chosen = by_name(action.scale, names)
         scale = np.array([chosen.get(name, own) for name, own in zip(names, scale, strict=True)])

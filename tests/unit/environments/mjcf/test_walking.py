@@ -105,7 +105,7 @@ def test_noise_stays_within_its_bounds_and_a_clip_after_the_scale(tmp_path: Path
 
 def test_an_action_moves_a_servos_target_about_the_pose(tmp_path: Path) -> None:
     reset = {"keyframe": "raised", "position_noise": 0.0, "velocity_noise": 0.0}
-    for scale, expected in ((None, 0.25 * 2 / 4), (0.4, 0.4), ({"elb.*": 0.3}, 0.3)):
+    for scale, expected in ((None, 0.5 * 2 / 4), (0.4, 0.4), ({"elb.*": 0.3}, 0.3)):
         action = {"kind": "joint_position", "scale": scale}
         environment = build(tmp_path, SERVO, action=action, reset=reset)
         assert isinstance(environment, TaskEnv)
@@ -194,8 +194,8 @@ def test_a_model_gets_servos_a_pose_and_then_a_task(tmp_path: Path) -> None:
     state = environment.reset(KEY)
     assert state.physics.qpos.tolist() == pytest.approx([0, 0, 0.7, 1, 0, 0, 0, 0.3])
     assert state.obs.tolist() == [0.0]
-    # A quarter of 4 N m pushes 4 / 8 / 4 = 0.125 rad from the pose.
-    assert environment._control(jnp.array([1.0])).tolist() == pytest.approx([0.425])
+    # Half of 4 N m pushes 4 / 8 / 2 = 0.25 rad from the pose.
+    assert environment._control(jnp.array([1.0])).tolist() == pytest.approx([0.55])
 
 
 def test_gains_that_blow_up_end_the_job(tmp_path: Path) -> None:

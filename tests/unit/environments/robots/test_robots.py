@@ -67,9 +67,9 @@ def test_the_go1_has_its_motors(go1: mujoco.MjModel) -> None:
     assert armature(go1, "FL_hip_joint") == pytest.approx(36 * 1.11842e-4)
     assert armature(go1, "FL_calf_joint") == pytest.approx(81 * 1.11842e-4)
     assert go1.actuator("RR_calf_joint").forcerange.tolist() == [-35.55, 35.55]
-    # A quarter of the effort against the spring: 0.25 · 35.55 / (81 · 1.11842e-4 · (20 π)²).
+    # Half of the effort against the spring: 0.5 · 35.55 / (81 · 1.11842e-4 · (20 π)²).
     _, scale = servo_targets(JointPositionAction(), go1, go1.qpos0)
-    assert scale[go1.actuator("FL_calf_joint").id] == pytest.approx(0.2485, abs=1e-4)
+    assert scale[go1.actuator("FL_calf_joint").id] == pytest.approx(0.4970, abs=1e-4)
 
 
 def test_a_robot_begins_on_its_feet(g1: mujoco.MjModel, go1: mujoco.MjModel) -> None:
