@@ -1,7 +1,7 @@
 """Names of a model's parts by regular expressions; no numerical code."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Annotated, TypeVar
 
@@ -74,6 +74,11 @@ def matching(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
         for name in names
         if name and any(name == pattern or matcher.isinstance_python(name) for pattern, matcher in matchers)
     ]
+
+
+def matching_in_turn(patterns: Iterable[str], names: Sequence[str]) -> list[str]:
+    """The names that the first pattern matches, in their own order, then those of the next one, each once."""
+    return list(dict.fromkeys(name for pattern in patterns for name in matching([pattern], names)))
 
 
 def by_name(values: Mapping[str, _Value], names: Iterable[str]) -> dict[str, _Value]:

@@ -15,6 +15,7 @@ from core.environments.simulation import Simulation
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.binding import bound, servo_targets
 from core.environments.terms.describe import height_of, root_of
+from core.environments.terms.feet import feet_of
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
@@ -46,7 +47,7 @@ class TaskEnv(MujocoEnv):
     ) -> None:
         root = model.body(options.root).id if options.root else root_of(model)
         start = _start(model, options)
-        named = ModelIndex(model, root, start, *_feet(model, options.feet, start))
+        named = ModelIndex(model, root, start, feet_of(model, options.feet, start))
         paid = options.reward or _default_reward()
         self._names = metric_names(paid)
         self._weights = [term.sign * term.weight for term in paid]
@@ -230,15 +231,6 @@ def _start(model: mujoco.MjModel, options: TaskOptions) -> np.ndarray:
     if reset.qpos is not None:
         return np.array(reset.qpos)
     return initial_qpos(model) if reset.keyframe is None else np.array(model.key(reset.keyframe).qpos)
-
-
-def _feet(model: mujoco.MjModel, names: Sequence[str], start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Their bodies' numbers, and their heights at the start, [feet] in m."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = start
-    mujoco.mj_kinematics(model, data)
-    feet = np.array([model.body(name).id for name in names], int)
-    return feet, data.xpos[feet, 2].copy()
 
 
 def _motion(model: mujoco.MjModel, options: TaskOptions) -> tuple[jax.Array | None, jax.Array | None]:

@@ -6,13 +6,13 @@ from itertools import islice
 
 from core.bounds import LONGEST_NAME, MOST_OBSERVED, MOST_PROBLEMS
 from core.documents import Strict
-from core.environments.patterns import matching
+from core.environments.mjcf.unmatched import unmatched, unmatched_by
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.inventory import Inventory, Kind
 from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture
 from core.environments.terms.observations import Activation, Qpos, Sensors
 from core.environments.terms.rewards import Contact, Distance, ForwardVelocity, JointLimits, VelocityTracking
-from core.environments.terms.task import Reset, TaskOptions, observed, parts_of
+from core.environments.terms.task import MOST_FEET, Reset, TaskOptions, observed, parts_of
 from core.environments.terms.term import Need, Term
 from core.environments.terms.terminations import Touching
 from core.errors import Problem
@@ -20,6 +20,7 @@ from core.nearest import nearest
 
 _OPTIONS = "/environment/options"
 _MAX_NAMES = 20
+_JOINT = "hinge or slide"
 # A model may have thousands of parts, so only the first wrong names are compared with them.
 _MAX_HINTS = 3
 # The fields of terms that name parts of the model, and the kind of part.
@@ -111,13 +112,19 @@ def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
         yield Problem(
             f"{_OPTIONS}/command", "No term of the reward reads the command, so nothing would follow it."
         )
-    for number, name in enumerate(options.feet):
-        yield from _of_name(name, f"{_OPTIONS}/feet/{number}", "body", parts)
-    if options.gait and len(options.gait.offsets) != len(options.feet):
-        yield Problem(
-            f"{_OPTIONS}/gait/offsets",
-            f"The clock has {len(options.gait.offsets)} offsets, and the task {len(options.feet)} feet.",
-        )
+    yield from _of_feet(options, parts.model)
+
+
+def _of_feet(options: TaskOptions, model: Inventory) -> Iterator[Problem]:
+    here, bodies = f"{_OPTIONS}/feet", model.bodies[1:]
+    missing = list(unmatched(options.feet, bodies, "body", here))
+    yield from missing
+    number = len(parts_of(options, model).feet)
+    if number > MOST_FEET:
+        yield Problem(here, f"The patterns match {number} bodies; a task has at most {MOST_FEET} feet.")
+    elif options.gait and not missing and len(options.gait.offsets) != number:
+        detail = f"The clock has {len(options.gait.offsets)} offsets, and the task {number} feet."
+        yield Problem(f"{_OPTIONS}/gait/offsets", detail)
 
 
 _NEEDED: dict[Need, str] = {
@@ -139,20 +146,17 @@ def _terms(options: TaskOptions) -> Iterator[tuple[str, Term]]:
 def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     """Patterns of joints that match none."""
     joints = [joint.name for joint in parts.model.moving_joints()]
-    asked: list[tuple[str, Iterable[str]]] = []
+    tables: list[tuple[str, Iterable[str]]] = []
     for here, term in _terms(options):
         if isinstance(term, Posture):
-            asked.append((f"{here}/weights", term.weights))
+            tables.append((f"{here}/weights", term.weights))
         if isinstance(term, JointPositions | JointVelocities):
-            asked.append((f"{here}/joints", term.joints or ()))
+            yield from unmatched(term.joints or (), joints, _JOINT, f"{here}/joints")
     if isinstance(options.action, JointPositionAction) and isinstance(options.action.scale, dict):
-        asked.append((f"{_OPTIONS}/action/scale", options.action.scale))
-    for pointer, patterns in asked:
+        tables.append((f"{_OPTIONS}/action/scale", options.action.scale))
+    for pointer, patterns in tables:
         for pattern in patterns:
-            if not matching([pattern], joints):
-                near = nearest(pattern, dict.fromkeys(joints), number=2, cutoff=0.5)
-                hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else "."
-                yield Problem(pointer, f"No hinge or slide of the model matches {pattern!r}{hint}")
+            yield from unmatched_by(pattern, joints, _JOINT, pointer)
 
 
 def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:

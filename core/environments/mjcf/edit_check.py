@@ -5,10 +5,10 @@ from itertools import islice
 
 from core.bounds import LONGEST_NAME
 from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, floor_name
-from core.environments.patterns import matches, matching
+from core.environments.mjcf.unmatched import unmatched, unmatched_by
+from core.environments.patterns import matching
 from core.environments.terms.inventory import Actuator, Inventory
 from core.errors import Problem
-from core.nearest import nearest
 
 _MAX_NAMES = 20
 _DRIVEN = ("hinge", "slide")
@@ -20,12 +20,12 @@ def problems(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Prob
     """Places where the changes name something that the model, before them, does not have. pointer: theirs."""
     driven = [joint.name for joint in model.joints if joint.type in _DRIVEN]
     for number, fit in enumerate(edits.primitives):
-        yield from _of_patterns(fit.geoms, model.geoms, "geom", f"{pointer}/primitives/{number}/geoms")
+        yield from unmatched(fit.geoms, model.geoms, "geom", f"{pointer}/primitives/{number}/geoms")
     yield from _of_feet(edits, model, pointer)
     if isinstance(edits.collide, list):
-        yield from _of_patterns(edits.collide, _moving(model), "moving geom", f"{pointer}/collide")
+        yield from unmatched(edits.collide, _moving(model), "moving geom", f"{pointer}/collide")
     for number, servo in enumerate(edits.servos):
-        yield from _of_patterns(servo.joints, driven, "hinge or slide", f"{pointer}/servos/{number}/joints")
+        yield from unmatched(servo.joints, driven, "hinge or slide", f"{pointer}/servos/{number}/joints")
         yield from _without_stiffness(servo, model, f"{pointer}/servos/{number}/kp")
     yield from _named_twice(edits.servos, driven, pointer)
     if not _actuators(model, edits.servos):
@@ -39,7 +39,7 @@ def _of_feet(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Prob
     if edits.collide == "feet" and edits.feet is None:
         yield Problem(f"{pointer}/feet", "Only the feet are to collide, but no foot is named.")
     bodies = model.bodies[1:]
-    yield from _of_patterns(edits.feet or [], bodies, "body", f"{pointer}/feet")
+    yield from unmatched(edits.feet or [], bodies, "body", f"{pointer}/feet")
     if edits.collide != "feet" or model.colliders is None:
         return
     carriers = {body for bodies in model.colliders.values() for body in bodies}
@@ -70,7 +70,7 @@ def _of_pose(pose: Pose, model: Inventory, driven: Sequence[str], pointer: str) 
     before, ranges = dict[str, str](), {joint.name: joint.range for joint in model.joints}
     for pattern, value in pose.joints.items():
         here = f"{pointer}/joints/{pattern.replace('~', '~0').replace('/', '~1')}"
-        yield from _of_pattern(pattern, driven, "hinge or slide", here)
+        yield from unmatched_by(pattern, driven, "hinge or slide", here)
         for joint in matching([pattern], driven):
             if joint in before:
                 yield Problem(here, f"The joint {joint!r} has a position by {before[joint]!r} already.")
@@ -93,25 +93,6 @@ def _named_twice(servos: Sequence[Servo], driven: Sequence[str], pointer: str) -
                 f"The joint {twice[0]!r} has the servo {before[twice[0]]} already.",
             )
         before.update((joint, number) for joint in matching(servo.joints, driven) if joint not in before)
-
-
-def _of_patterns(patterns: Sequence[str], names: Sequence[str], kind: str, pointer: str) -> Iterator[Problem]:
-    for number, pattern in enumerate(patterns):
-        yield from _of_pattern(pattern, names, kind, f"{pointer}/{number}")
-
-
-def _of_pattern(pattern: str, names: Sequence[str], kind: str, pointer: str) -> Iterator[Problem]:
-    if any(matches(pattern, name) for name in names):
-        return
-    near = nearest(pattern.replace(".*", ""), filter(None, names), number=3, cutoff=0.5)
-    if near:
-        hint = f"did you mean {' or '.join(map(repr, near))}?"
-    elif names:
-        some = ", ".join(name[:LONGEST_NAME] for name in islice(filter(None, names), _MAX_NAMES))
-        hint = f"it has {some}{', …' if len(names) > _MAX_NAMES else ''}."
-    else:
-        hint = "it has none with a name."
-    yield Problem(pointer, f"The model has no {kind} that {pattern!r} matches; {hint}")
 
 
 def edited(model: Inventory, edits: ModelEdits) -> Inventory:

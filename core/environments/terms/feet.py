@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.environments.patterns import matching
+from core.environments.patterns import matching_in_turn
 from core.environments.terms.describe import moving_geoms, near_world, touchable
 
 # m: points of a sole are at most so much above its lowest one.
@@ -18,20 +18,23 @@ _FLAT = 0.005
 class Foot:
     """body: its number. point: [3] in the body's frame, m: the middle of the sole; of a round foot, the
     centre of its sphere. radius: m, of a round foot, otherwise 0: the sole is so much below the point.
-    geoms: the numbers of those that can touch something."""
+    ground: the height of the world below it, in m. geoms: the numbers of those that can touch something."""
 
     body: int
     point: np.ndarray
     radius: float
+    ground: float
     geoms: tuple[int, ...]
 
 
 def feet_of(model: mujoco.MjModel, patterns: Sequence[str], qpos: np.ndarray) -> list[Foot]:
-    """The feet, in the model's order. qpos: [nq], a pose in which they would rest on the world.
+    """The feet, pattern by pattern. qpos: [nq], a pose in which they would rest on the world.
 
-    Feet that can touch nothing of the world are at their bodies' origins.
+    Feet that can touch nothing of the world are at their bodies' origins, and on the ground in the pose.
     """
-    bodies = matching(patterns, (model.body(number).name for number in range(model.nbody)))
+    if not patterns:
+        return []
+    bodies = matching_in_turn(patterns, [model.body(number).name for number in range(1, model.nbody)])
     data, contacts = near_world(model, qpos)
     moving, _ = touchable(model)
     return [_foot(model, data, contacts, model.body(name).id, moving) for name in bodies]
@@ -48,15 +51,16 @@ def _foot(
         and _is_below(model, int(model.geom_bodyid[geom]), body)
     )
     origin, axes = data.xpos[body], data.xmat[body].reshape(3, 3)
-    if len(geoms) == 1 and model.geom_type[geoms[0]] == int(mujoco.mjtGeom.mjGEOM_SPHERE):
-        centre = data.geom_xpos[geoms[0]]
-        return Foot(body, axes.T @ (centre - origin), float(model.geom_size[geoms[0], 0]), geoms)
     own = [contact for contact in contacts if set(map(int, contact.geom)) & set(geoms)]
-    if not own:
-        return Foot(body, np.zeros(3), 0.0, geoms)
-    lowest = min(contact.dist for contact in own)
-    sole = [_point_of(contact, model) for contact in own if contact.dist <= lowest + _FLAT]
-    return Foot(body, axes.T @ (np.mean(sole, axis=0) - origin), 0.0, geoms)
+    lowest = min((contact.dist for contact in own), default=0.0)
+    radius, sole = 0.0, origin
+    if len(geoms) == 1 and model.geom_type[geoms[0]] == int(mujoco.mjtGeom.mjGEOM_SPHERE):
+        radius, sole = float(model.geom_size[geoms[0], 0]), data.geom_xpos[geoms[0]]
+    elif own:
+        touching = [_point_of(contact, model) for contact in own if contact.dist <= lowest + _FLAT]
+        sole = np.mean(touching, axis=0)
+    ground = float(sole[2]) - radius - lowest
+    return Foot(body, axes.T @ (sole - origin), radius, ground, geoms)
 
 
 def _point_of(contact: Any, model: mujoco.MjModel) -> np.ndarray:

@@ -114,9 +114,9 @@ class Inventory(Stored):
 
 @dataclass(frozen=True)
 class ModelParts:
-    """A model as a task names its parts. root: the body of the terms that name none. num_feet: those that the
-    task names."""
+    """A model as a task names its parts. root: the body of the terms that name none. feet: the bodies that
+    are, in the order of the gait."""
 
     model: Inventory
     root: str
-    num_feet: int = 0
+    feet: tuple[str, ...] = ()

@@ -136,11 +136,11 @@ class GaitPhase(ObservationTerm):
     kind: Literal["gait_phase"] = "gait_phase"
 
     def size(self, parts: ModelParts) -> int:
-        return 2 * parts.num_feet
+        return 2 * len(parts.feet)
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
         for part in ("sin", "cos"):
-            yield named("gait_phase", (f"{part} {foot}" for foot in range(parts.num_feet)), "1", -1.0, 1.0)
+            yield named("gait_phase", (f"{part} {foot}" for foot in range(len(parts.feet))), "1", -1.0, 1.0)
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return step.xp.concatenate([step.xp.sin(step.phases), step.xp.cos(step.phases)])
@@ -265,8 +265,8 @@ class JointTorque(CostTerm):
 class SwingHeight(RewardTerm):
     """exp(−Σ (z − z*)² / σ²) over the feet: feet follow the gait's clock.
 
-    z: a foot's height above where it stands in the pose; z* = h max(0, sin φ) while the command is to move,
-    otherwise 0. In m.
+    z: how far a foot's sole is above the ground; z* = h max(0, sin φ) while the command is to move, otherwise
+    0. In m.
     """
 
     needs = frozenset({"command", "feet", "gait"})
@@ -282,7 +282,7 @@ class SwingHeight(RewardTerm):
 
 
 class FootSlip(CostTerm):
-    """Σ ‖v_xy‖² of the feet that are on the ground, in m²/s²."""
+    """Σ ‖v_xy‖² of the soles that are on the ground, in m²/s². v: of a sole's lowest point."""
 
     needs = frozenset({"feet"})
 
@@ -291,12 +291,11 @@ class FootSlip(CostTerm):
         default=0.02,
         gt=0,
         le=1,
-        description="A foot is on the ground below this height above its stand, in m.",
+        description="A foot is on the ground where its sole is lower than this above it, in m.",
     )
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
-        before, after = (one.derived["xpos"][model.feet] for one in (step.before, step.after))
-        speed = step.xp.sum(((after - before)[:, :2] / step.dt) ** 2, 1)
+        speed = step.xp.sum(model.foot_velocities(step)[:, :2] ** 2, 1)
         return step.xp.sum(step.xp.where(model.foot_heights(step) < self.height, speed, 0.0))
 
 

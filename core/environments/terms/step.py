@@ -10,6 +10,7 @@ import numpy as np
 
 from core.environments.patterns import by_name, matching
 from core.environments.terms.contact_sensors import is_ours, sensor_name
+from core.environments.terms.feet import Foot
 from core.environments.terms.term import Array
 
 # A command below this norm (m/s, rad/s) is to stand still.
@@ -51,15 +52,13 @@ class Step:
 class ModelIndex:
     """The model's parts by name. root: number of the body of the terms that name no body.
 
-    pose: positions [nq] in which episodes begin, before noise. feet: numbers of the bodies. foot_stand: their
-    heights in the pose, [feet] in m.
+    pose: positions [nq] in which episodes begin, before noise. feet: in the order of the gait.
     """
 
     model: mujoco.MjModel
     root: int
     pose: np.ndarray
-    feet: np.ndarray
-    foot_stand: np.ndarray
+    feet: Sequence[Foot]
 
     def body(self, name: str | None) -> int:
         return self.root if name is None else int(self.model.body(name).id)
@@ -157,8 +156,41 @@ class ModelIndex:
         return self._turned_back(step, step.array((0.0, 0.0, -1.0)))
 
     def foot_heights(self, step: Step) -> Array:
-        """Of each foot above where it stands in the pose, [feet] in m."""
-        return step.after.derived["xpos"][self.feet, 2] - step.array(self.foot_stand)
+        """How far the sole of each foot is above the ground, [feet] in m."""
+        bodies = self._foot_bodies
+        below = step.array([foot.radius + foot.ground for foot in self.feet])
+        return step.after.derived["xpos"][bodies, 2] + self._foot_points(step.after, step)[:, 2] - below
+
+    def foot_velocities(self, step: Step) -> Array:
+        """Of what is the lowest of each foot after the step, [feet, 3] in m/s along the world's axes.
+
+        A round foot that rolls has none there, though its centre moves.
+        """
+        bodies = self._foot_bodies
+        before, after = (one.derived["xpos"][bodies] for one in (step.before, step.after))
+        moved = after + self._foot_points(step.after, step) - before - self._foot_points(step.before, step)
+        if any(foot.radius for foot in self.feet):
+            # What is below the centre by r has moved by d − R R'ᵀ d beside the centre, with d = (0, 0, −r).
+            down = step.array(np.array([(0.0, 0.0, -foot.radius) for foot in self.feet]))
+            own = down[:, 2:] * self._foot_axes(step.after)[:, 2]
+            moved = moved + down - step.xp.sum(self._foot_axes(step.before) * own[:, None, :], 2)
+        return moved / step.dt
+
+    @property
+    def _foot_bodies(self) -> np.ndarray:
+        return np.array([foot.body for foot in self.feet], int)
+
+    def _foot_axes(self, physics: Any) -> Array:
+        """The rotation matrices of the feet's bodies, [feet, 3, 3]."""
+        return physics.derived["xmat"][self._foot_bodies].reshape(-1, 3, 3)
+
+    def _foot_points(self, physics: Any, step: Step) -> Array:
+        """Each foot's point from its body's origin, [feet, 3] in m along the world's axes.
+
+        Not a matrix product: a GPU may round its factors to 11 bits.
+        """
+        points = step.array(np.array([foot.point for foot in self.feet]).reshape(-1, 3))
+        return step.xp.sum(self._foot_axes(physics) * points[:, None, :], 2)
 
     def _turned_back(self, step: Step, vector: Array) -> Array:
         """Rᵀ v, by the unit quaternion of the root's free joint."""

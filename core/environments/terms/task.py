@@ -9,6 +9,7 @@ from core.bounds import MOST_ITEMS, Real
 from core.documents import Strict
 from core.environments.info import Spaces, in_order, named
 from core.environments.options import NoiseScale
+from core.environments.patterns import PATTERNS, Pattern, matching_in_turn
 from core.environments.terms.actions import AnyAction, ControlAction, JointPositionAction
 from core.environments.terms.commands import GaitClock, Push, VelocityCommand
 from core.environments.terms.inventory import Actuator, Inventory, ModelParts
@@ -17,13 +18,14 @@ from core.environments.terms.term import Name
 from core.environments.terms.terminations import AnyTermination
 from core.environments.terms.vocabulary import AnyObservation, AnyReward
 
+MOST_FEET = 8
 # Seconds per physics step.
 SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1
 
 Rewards = Annotated[list[AnyReward], Field(min_length=1, max_length=64)] | None
 Observations = Annotated[list[AnyObservation], Field(min_length=1, max_length=64)] | None
 Terminations = Annotated[list[AnyTermination], Field(max_length=64)] | None
-Feet = Annotated[list[Name], Field(max_length=8)]
+Feet = Annotated[list[Pattern], Field(max_length=MOST_FEET)]
 Events = Annotated[list[Push], Field(max_length=16)]
 
 
@@ -75,7 +77,7 @@ class TaskOptions(Strict):
     command: VelocityCommand | None = Field(
         default=None, description="What the policy is told to do; null: nothing."
     )
-    feet: Feet = Field(default=[], description="The bodies that are feet, in the order of the gait.")
+    feet: Feet = Field(default=[], description=f"The bodies that are feet, in the gait's order. {PATTERNS}")
     gait: GaitClock | None = Field(
         default=None, description="The clock of the terms `gait_phase` and `swing_height`."
     )
@@ -150,7 +152,8 @@ def _ends(options: TaskOptions, actuator: Actuator) -> tuple[float | None, float
 
 def parts_of(options: TaskOptions, model: Inventory) -> ModelParts:
     """The model as the terms name its parts."""
-    return ModelParts(model, options.root or model.root, len(options.feet))
+    feet = matching_in_turn(options.feet, model.bodies[1:])
+    return ModelParts(model, options.root or model.root, tuple(feet))
 
 
 def observed(options: TaskOptions) -> Sequence[ObservationTerm]:

@@ -149,7 +149,7 @@ class TestFeet:
         left, right = feet_of(model, [".*_foot"], model.key(HOME).qpos)
         assert (model.body(left.body).name, model.body(right.body).name) == ("left_foot", "right_foot")
         assert left.point.tolist() == pytest.approx([0, 0, 0], abs=1e-12)
-        assert left.radius == 0.03
+        assert (left.radius, left.ground) == (0.03, pytest.approx(0.1))
         assert [model.geom(geom).name for geom in left.geoms] == ["left_foot geom"]
 
     def test_another_shape_has_its_sole_where_the_pose_would_rest_on_it(self) -> None:

@@ -117,8 +117,10 @@ def test_feet_follow_the_clock_while_the_command_is_to_move(tmp_path: Path) -> N
         return build(
             tmp_path,
             command=command,
-            feet=["ball"],
+            feet=["b.*"],
             gait={"frequency": 1.0, "offsets": [0.25]},
+            # Its lowest point is 0.05 m above the floor.
+            reset={"qpos": [0, 0, 0.15, 1, 0, 0, 0, 0], "position_noise": 0.0, "velocity_noise": 0.0},
             observation=[{"kind": "gait_phase"}],
             reward=[TRACKS, {"kind": "swing_height", "height": 0.2, "tolerance": 0.1}],
             termination=[],
@@ -131,10 +133,24 @@ def test_feet_follow_the_clock_while_the_command_is_to_move(tmp_path: Path) -> N
         share = float(before.info["phase"]) + 0.25 + 0.01
         sine = np.sin(2 * np.pi * share)
         assert after.obs.tolist() == pytest.approx([sine, np.cos(2 * np.pi * share)], abs=1e-4)
-        # The foot stays where it stands.
         wanted = 0.2 * max(sine, 0.0) if is_moving else 0.0
         worth = float(after.metrics["reward_swing_height"])
-        assert worth == pytest.approx(np.exp(-(wanted**2) / 0.1**2), abs=1e-4)
+        assert worth == pytest.approx(np.exp(-((0.05 - wanted) ** 2) / 0.1**2), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("height", "turn", "slips"),
+    # The ball's lowest point is 5 mm above the floor, then 25 mm. At 4 rad/s it rolls as fast as it moves.
+    [(0.105, 0.0, 0.16), (0.105, 4.0, 0.0), (0.105, -4.0, 0.64), (0.125, 0.0, 0.0)],
+)
+def test_a_foot_slips_where_its_sole_moves_along_the_ground(
+    height: float, turn: float, slips: float, tmp_path: Path
+) -> None:
+    environment = build(tmp_path, feet=["ball"], reward=[{"kind": "foot_slip"}], termination=[])
+    state = moving(
+        environment.reset(KEY), qpos=[0, 0, height, 1, 0, 0, 0, 0], qvel=[0.4, 0, 0, 0, turn, 0, 0]
+    )
+    assert float(environment.step(state, NO_TORQUE).reward) == pytest.approx(-slips, abs=5e-3)
 
 
 def test_a_body_that_follows_commands_is_not_pushed_on_the_page(tmp_path: Path) -> None:
@@ -150,7 +166,8 @@ def test_a_body_that_follows_commands_is_not_pushed_on_the_page(tmp_path: Path) 
         ({"command": None}, "reward/0", "track_linear_velocity needs a `command`"),
         ({"reward": [{"kind": "alive"}]}, "command", "No term of the reward reads the command"),
         ({"gait": None}, "observation/7", "gait_phase needs a `gait`"),
-        ({"feet": ["left_foot"]}, "feet/0", "no body 'left_foot'"),
+        ({"feet": [".*_left_foot"]}, "feet/0", "no body that '.*_left_foot' matches"),
+        ({"feet": [".*_link"]}, "feet", "match 29 bodies; a task has at most 8 feet"),
         ({"gait": {"offsets": [0.0]}}, "gait/offsets", "1 offsets, and the task 2 feet"),
         (
             {"action": {"kind": "joint_position", "scale": {"left_nee.*": 1.0}}},

@@ -19,6 +19,7 @@ from core.environments.robots.go1 import GO1
 from core.environments.robots.robot import Robot
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.binding import servo_targets
+from core.environments.terms.feet import feet_of
 from core.errors import JobFailed
 from core.jobs.workers import how_to_install
 from core.physics.choose import engine_builder
@@ -87,6 +88,19 @@ def test_a_robot_begins_on_its_feet(g1: mujoco.MjModel, go1: mujoco.MjModel) -> 
         assert min(contact.dist for contact in data.contact) == pytest.approx(-1e-4, abs=1e-6)
     # mjlab drops its Go1 from 0.278 m, which is for a sagging pose: the thighs hold less than they should.
     assert go1.key(HOME).qpos[2] == pytest.approx(0.294, abs=1e-3)
+
+
+def test_their_feet_are_soles_on_the_floor(g1: mujoco.MjModel, go1: mujoco.MjModel) -> None:
+    for robot, model in ((G1, g1), (GO1, go1)):
+        feet = feet_of(model, robot.feet, model.key(HOME).qpos)
+        assert [model.body(foot.body).name for foot in feet] == list(robot.feet)
+        assert [foot.ground for foot in feet] == pytest.approx([0.0] * len(feet), abs=1e-3)
+        for foot in feet:
+            # A ball of 23 mm at the end of a calf; the bottom of an ankle.
+            assert foot.radius == (0.023 if robot is GO1 else 0.0)
+            assert foot.point.tolist() == pytest.approx(
+                [0, 0, -0.213] if robot is GO1 else [0, 0, 0], abs=0.1
+            )
 
 
 def test_only_feet_touch_only_the_floor(g1: mujoco.MjModel, go1: mujoco.MjModel) -> None:
