@@ -1,9 +1,9 @@
-"""Training: its rate, the seconds until a body moves well, several seeds, and a job's way; beside Brax.
+"""Training: its rate, the seconds until a body moves well, seeds, robots, and a job's way; beside Brax.
 
 A mark is reached at the end of the first evaluation of 128 episodes that has it as its mean, if a second one
 from other starts has it, too. Seconds count from the call of the trainer, evaluations included. Ours trains
 under the catalog's tuned settings on the engine that `auto` takes, Brax under its published ones. Cold:
-nothing is compiled; warm: with what the cold run left on disk.
+nothing is compiled; warm: with what the cold run left on disk. The robots are those of `bench.robots`.
 """
 
 import argparse
@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from bench import robots
 from bench.child import ChildFailed, run_child
 from bench.peers.published import PUBLISHED
 from bench.stack import running_stack
@@ -24,7 +25,7 @@ from core.environments import catalog
 from core.environments.info import Device
 from gaitway.client import Client
 
-PARTS = ("rate", "mark", "seeds", "job")
+PARTS = ("rate", "mark", "seeds", "robots", "job")
 _OURS, _BRAX = "bench.children.train_ours", "bench.children.train_brax"
 _EPISODES = 128
 # Brax has no learning rate that falls along a line, which costs no time.
@@ -118,9 +119,14 @@ _QUICK_PPO: Answer = {"num_envs": 8, "batch_size": 8, "num_minibatches": 2, "unr
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all by default")
     parser.add_argument("--gpu", action="store_true", help="on the first GPU, not on all cores")
-    parser.add_argument("--bodies", nargs="+", metavar="BODY", help="of the part `mark`; by default all")
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="of ours, in the part `mark`")
+    parser.add_argument(
+        "--bodies", nargs="+", metavar="BODY", help="of the parts `mark` and `robots`; by default all"
+    )
+    parser.add_argument(
+        "--seeds", type=int, default=5, metavar="N", help="of ours, in the parts `mark`, `robots`"
+    )
     parser.add_argument("--without-brax", action="store_true", help="measure ours alone")
+    robots.add_arguments(parser)
 
 
 def measure(arguments: argparse.Namespace) -> list[Figure]:
@@ -128,7 +134,7 @@ def measure(arguments: argparse.Namespace) -> list[Figure]:
     if unknown := set(arguments.parts) - set(PARTS):
         raise SystemExit(f"There is no part {unknown.pop()!r} of the bench `train`.")
     device: Device = "gpu" if arguments.gpu else "cpu"
-    measured = {"rate": _rates, "mark": _marks, "seeds": _seeds, "job": _job}
+    measured = {"rate": _rates, "mark": _marks, "seeds": _seeds, "robots": _robots, "job": _job}
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
         return [
             figure
@@ -314,6 +320,11 @@ def _seeds(device: Device, folder: Path, arguments: argparse.Namespace) -> Itera
         yield Figure(
             f"{number} seeds together ÷ one alone, {which}", times, "×", at_most=most, missing=missing
         )
+
+
+def _robots(_: Device, folder: Path, arguments: argparse.Namespace) -> Iterator[Figure]:
+    """Robots that walk by command, until they pass their battery."""
+    yield from robots.measure(arguments, folder)
 
 
 def _job(device: Device, folder: Path, arguments: argparse.Namespace) -> Iterator[Figure]:

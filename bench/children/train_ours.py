@@ -28,7 +28,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     body = {"id": request["environment"], "options": request["options"]}
     job = resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": request["settings"]}))
     info, settings = job.info, job.settings_on(device)
-    engine = _engine(request["engine"], info, device, settings.num_parallel_envs)
+    engine = engine_of(request["engine"], info, device, settings.num_parallel_envs)
     keep_compiled(request["cache"], engine)
     environment = catalog.make(info, job.options, engine_builder(engine))
     metric = mark["metric"] if mark else "eval/episode_reward"
@@ -68,13 +68,14 @@ def keep_compiled(cache: str, engine: str) -> None:
     from core.physics.compiled.code.kept_code import keep_code
 
     jax.config.update("jax_compilation_cache_dir", cache)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     if engine == "warp":
         set_warp_cache(Path(cache, "warp"))
     if engine == "compiled":
         keep_code(Path(cache, "compiled"))
 
 
-def _engine(name: str, info: Any, device: Any, num_envs: int) -> Any:
+def engine_of(name: str, info: Any, device: Any, num_envs: int) -> Any:
     """The engine of this name, or the one that `auto` takes.
 
     Raises RuntimeError if that lacks its package here: `auto` would take another one, and be measured.

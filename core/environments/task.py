@@ -78,7 +78,10 @@ class TaskEnv(MujocoEnv):
         )
         self.observation_size = sum(term.size for term in self._seen)
 
-    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+    def reset(
+        self, key: jax.Array, model: ModelFields = NOMINAL, *, command: jax.Array | None = None
+    ) -> State:
+        """command: [3], in place of a random one; of a task with commands."""
         reset, options = self._options.reset, self._options
         physics = noisy_start(
             self,
@@ -98,7 +101,8 @@ class TaskEnv(MujocoEnv):
             info["key"] = jax.random.key_data(jax.random.fold_in(key, _OF_THE_EPISODE))
             info["steps"] = jnp.zeros((), jnp.int32)
         if options.command:
-            info["command"] = options.command.drawn(self._uniform(info, options.command.num_random, 0), step)
+            drawn = options.command.drawn(self._uniform(info, options.command.num_random, 0), step)
+            info["command"] = drawn if command is None else command
         if options.gait:
             info["phase"] = self._uniform(info, 1, 1)[0]
         return initial(self._after(replace(step, command=info.get("command")), info))

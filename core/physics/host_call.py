@@ -41,7 +41,7 @@ def host_call(
     """
     results = tuple(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes)
     inputs = [jnp.asarray(argument, jnp.float32) for argument in arguments]
-    if jax.default_backend() == "cpu" and _is_registered():
+    if _runs_on_a_cpu() and _is_registered():
         _functions.setdefault(name, function)
         call = jax.ffi.ffi_call(_TARGET, results, vmap_method="broadcast_all")
         return tuple(call(*inputs, name=name))
@@ -51,6 +51,13 @@ def host_call(
         return tuple(function(*map(np.asarray, arrays)))
 
     return jax.pure_callback(on_the_host, results, *inputs, vmap_method="broadcast_all")
+
+
+def _runs_on_a_cpu() -> bool:
+    """Whether the program is for a CPU, also where it is compiled inside `jax.default_device` of one."""
+    config: Any = jax.config
+    device = config.jax_default_device
+    return (jax.default_backend() if device is None else device.platform) == "cpu"
 
 
 @cache

@@ -1,6 +1,7 @@
 """The command line of each bench, and the arithmetic of those that have some."""
 
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,6 +20,10 @@ PARSER = parser({name: import_module(f"bench.{name}") for name in NAMES})
         ("physics --engines native mjx", {"engines": ["native", "mjx"], "gpu": False, "num_envs": None}),
         ("train mark --seeds 2 --bodies ant --without-brax", {"parts": ["mark"], "seeds": 2}),
         ("train --gpu --quick", {"parts": [], "gpu": True, "quick": True}),
+        (
+            "train robots --bodies g1 --steps 500 --policies out",
+            {"parts": ["robots"], "steps": 500, "policies": Path("out"), "settings": {}},
+        ),
         ("service lists largest --only GET*", {"parts": ["lists", "largest"], "only": "GET*"}),
         ("service load --minutes 2", {"parts": ["load"], "minutes": 2.0}),
         ("recovery", {"parts": [], "kinds": None, "quick": False}),

@@ -1,0 +1,94 @@
+"""What a battery found; no numerical code."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+from core.algorithms.battery.spec import BatterySpec, Bounds, Command
+from core.documents import Stored
+
+Quantity = Literal[
+    "falls", "linear_tracking", "angular_tracking", "action_change", "torso_rate", "yaw_rate", "leg_velocity"
+]
+SMOOTHNESS: tuple[Quantity, ...] = ("action_change", "torso_rate", "yaw_rate", "leg_velocity")
+
+
+class CommandResult(Stored):
+    """What happened under one command. command: forward and left in m/s, turn in rad/s.
+
+    linear_tracking, angular_tracking: means of exp(−e² / 0.25) over all episodes after they have settled;
+    after a fall, 0. The others are root mean squares over the same steps, while the body is up: of the
+    change from one action to the next of the legs' joints; of the root's angular velocity about its x and y
+    axes together, and about z, in rad/s; of the legs' joints' velocities, in rad/s. None: none was up.
+    """
+
+    command: Command
+    episodes: int
+    falls: int
+    linear_tracking: float
+    angular_tracking: float
+    action_change: float | None
+    torso_rate: float | None
+    yaw_rate: float | None
+    leg_velocity: float | None
+
+
+class Criterion(Stored):
+    """A quantity, its bound, and whether the policy holds it. `falls` is a share of all episodes."""
+
+    quantity: Quantity
+    value: float | None
+    bound: float
+    met: bool
+
+
+class BatteryResult(Stored):
+    """passed: whether every criterion is met. took_s: seconds that the battery took. legs: their joints."""
+
+    passed: bool
+    criteria: list[Criterion]
+    commands: list[CommandResult]
+    spec: BatterySpec
+    seed: int
+    engine: str
+    legs: list[str]
+    took_s: float
+
+
+def judged(
+    commands: Sequence[CommandResult], straight_on: Command, bounds: Bounds
+) -> tuple[bool, list[Criterion]]:
+    """Whether the policy passes, and by what. straight_on: the command under which smoothness is judged."""
+    straight = next(row for row in commands if row.command == straight_on)
+    values = overall(commands)
+    limits: dict[Quantity, float | None] = {
+        "falls": bounds.falls,
+        "linear_tracking": bounds.tracking,
+        "angular_tracking": bounds.tracking,
+        **{name: getattr(bounds, name) for name in SMOOTHNESS},
+    }
+    criteria = [
+        _criterion(name, values.get(name, getattr(straight, name, None)), bound)
+        for name, bound in limits.items()
+        if bound is not None
+    ]
+    return all(one.met for one in criteria), criteria
+
+
+def overall(commands: Sequence[CommandResult]) -> dict[Quantity, float]:
+    """The share of falls, and the mean trackings, over all commands."""
+    episodes = sum(row.episodes for row in commands)
+    return {
+        "falls": sum(row.falls for row in commands) / episodes,
+        "linear_tracking": math.fsum(row.linear_tracking * row.episodes for row in commands) / episodes,
+        "angular_tracking": math.fsum(row.angular_tracking * row.episodes for row in commands) / episodes,
+    }
+
+
+def _criterion(name: Quantity, value: float | None, bound: float) -> Criterion:
+    if value is None:
+        return Criterion(quantity=name, value=None, bound=bound, met=False)
+    is_least = name in ("linear_tracking", "angular_tracking")
+    return Criterion(
+        quantity=name, value=value, bound=bound, met=value >= bound if is_least else value <= bound
+    )

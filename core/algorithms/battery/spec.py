@@ -1,0 +1,95 @@
+"""What a battery is: a test of a trained policy that follows velocity commands; no numerical code."""
+
+from collections.abc import Sequence
+from typing import cast
+
+from pydantic import Field
+
+from core.bounds import Real
+from core.documents import Strict
+from core.environments.terms.commands import Push, VelocityCommand
+from core.environments.terms.task import TaskOptions
+
+# Forward and left in m/s, turn in rad/s.
+COMMANDS = (
+    (1.0, 0.0, 0.0),
+    (0.5, 0.0, 0.0),
+    (-0.5, 0.0, 0.0),
+    (0.0, 0.4, 0.0),
+    (0.0, -0.4, 0.0),
+    (0.5, 0.0, 0.8),
+    (0.5, 0.0, -0.8),
+    (0.0, 0.0, 0.0),
+)
+# The command under which smoothness is judged.
+STRAIGHT_ON = COMMANDS[1]
+# An episode's first seconds, which are not measured: the body gets going.
+SETTLING_S = 1.5
+# Tracking is exp(−e² / TOLERANCE²), e in m/s or rad/s.
+TOLERANCE = 0.5
+
+Command = tuple[float, float, float]
+
+
+class Bounds(Strict):
+    """What a policy must hold to pass; null: it is measured, and not judged."""
+
+    falls: Real = Field(default=0.01, ge=0, le=1, description="At most this share of the episodes falls.")
+    tracking: Real = Field(
+        default=0.9,
+        ge=0,
+        le=1,
+        description="At least this mean of exp(−e² / 0.25), of the velocity and of the turning each.",
+    )
+    action_change: Real | None = Field(
+        default=None, gt=0, description="RMS of the legs' actions' change from one action to the next."
+    )
+    torso_rate: Real | None = Field(
+        default=None, gt=0, description="RMS of the root's rate of roll and pitch, in rad/s."
+    )
+    yaw_rate: Real | None = Field(default=None, gt=0, description="RMS of the root's yaw rate, in rad/s.")
+    leg_velocity: Real | None = Field(
+        default=None, gt=0, description="RMS of the legs' joints' velocities, in rad/s."
+    )
+
+
+class BatterySpec(Strict):
+    """Eight commands from several starts, in C MuJoCo with the model's own solver."""
+
+    starts: int = Field(default=32, ge=1, le=512, description="Episodes for each command.")
+    seconds: Real = Field(
+        default=8.0, ge=2, le=120, description="Length of an episode; the first 1.5 s are not measured."
+    )
+    push: Push | None = Field(
+        default=None, description="Pushes in every episode, in place of the task's own; null: none."
+    )
+    bounds: Bounds = Bounds()
+
+
+def commands_within(trained: VelocityCommand) -> Sequence[Command]:
+    """The battery's commands, clipped to the ranges that the policy was trained on; each is there once."""
+    return list(dict.fromkeys(clipped(command, trained) for command in COMMANDS))
+
+
+def clipped(command: Command, trained: VelocityCommand) -> Command:
+    """The nearest command in the trained ranges."""
+    ranges = (trained.forward, trained.left, trained.turn)
+    return cast(
+        "Command",
+        tuple(min(max(part, low), high) for part, (low, high) in zip(command, ranges, strict=True)),
+    )
+
+
+def follows_velocity(options: Strict) -> bool:
+    """Whether the task of these options tells its policy a velocity, so that there can be a battery."""
+    return isinstance(options, TaskOptions) and isinstance(options.command, VelocityCommand)
+
+
+def battery_options(options: TaskOptions, spec: BatterySpec) -> TaskOptions:
+    """The task as the battery runs it: each episode has one command, and only the battery's pushes."""
+    if options.command is None:
+        raise ValueError("The task has no command.")
+    kept = [event for event in options.events if event.kind != "push"]
+    pushes = [] if spec.push is None else [spec.push]
+    longer = options.command.model_copy(update={"every_s": 2 * spec.seconds})
+    return options.model_copy(update={"command": longer, "events": [*kept, *pushes]})
