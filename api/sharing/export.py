@@ -22,7 +22,7 @@ from core.jobs.job import Artifact, Job
 from core.jobs.metrics import Block, Newest
 from core.jobs.resolved import filled_in, model_of
 from core.storage import keys
-from core.storage.objects import check_whole
+from core.storage.objects import check_whole, read_whole
 
 # An older date cannot be said in a zip. A fixed one makes equal exports equal.
 _WHEN = (1980, 1, 1, 0, 0, 0)
@@ -32,6 +32,10 @@ FORMAT = 1
 _NEWEST_ALONE = ("checkpoint", "video", "poster")
 # Roles whose content is in the zip already, in a form that every program reads.
 _LEFT_OUT = ("metrics", "log", "tensorboard", "wandb")
+# A file up to this size is in memory at once, so that the object store is asked for it once.
+_HELD_BYTES = 2**20
+# Each piece of an answer costs a change of threads.
+_SENT_BYTES = 2**16
 # Every training that ended well has these.
 _EXPECTED = {"train": ("checkpoint", "policy", "video"), "rollout": ("trajectory", "video")}
 _README = (
@@ -67,6 +71,9 @@ class _Pipe(io.RawIOBase):
         self._written += memoryview(piece)  # pyright: ignore[reportArgumentType] # whatever has bytes
         return len(self._written) - before
 
+    def __len__(self) -> int:
+        return len(self._written)
+
     def taken(self) -> bytes:
         taken = bytes(self._written)
         self._written.clear()
@@ -74,7 +81,7 @@ class _Pipe(io.RawIOBase):
 
 
 def zip_stream(members: Iterable[ZipMember]) -> Iterator[bytes]:
-    """The bytes of a zip (64-bit where needed) of these members, in about the pieces that they come in.
+    """The bytes of a zip (64-bit where needed) of these members, in pieces of 64 KiB or more.
 
     An error of a member's pieces ends it, so that what arrived has no directory and no program opens it.
     """
@@ -87,9 +94,8 @@ def zip_stream(members: Iterable[ZipMember]) -> Iterator[bytes]:
             with archive.open(info, "w", force_zip64=True) as file:
                 for piece in member.pieces:
                     file.write(piece)
-                    if written := pipe.taken():
-                        yield written
-            yield pipe.taken()
+                    if len(pipe) >= _SENT_BYTES:
+                        yield pipe.taken()
     yield pipe.taken()
 
 
@@ -170,7 +176,8 @@ def _model(job: Job, service: Service, contents: _Contents) -> Iterator[ZipMembe
         suffix = "zip" if record.media_type == "application/zip" else "xml"
         name = f"model/{model_id.removeprefix('sha256:')[:12]}.{suffix}"
         sha256 = model_id.removeprefix("sha256:")
-        yield from _stored(name, keys.model_source(model_id), sha256, service, compress=suffix != "zip")
+        key, shrinks = keys.model_source(model_id), suffix != "zip"
+        yield from _stored(name, key, sha256, record.size, service, compress=shrinks)
     except ObjectDamaged as error:
         contents.lacks(f"the model {model_id}", f"it is damaged: {error.why}")
     except (ModelNotFound, ObjectNotFound):
@@ -187,7 +194,7 @@ def _files(job: Job, service: Service, contents: _Contents) -> Iterator[ZipMembe
     for file in chosen:
         path = f"files/{file.name}"
         try:
-            yield from _stored(path, file.key, file.sha256, service, compress=_shrinks(file))
+            yield from _stored(path, file.key, file.sha256, file.size, service, compress=_shrinks(file))
         except ObjectDamaged as error:
             contents.lacks(file.name, f"it is damaged: {error.why}")
         except ObjectNotFound:
@@ -211,8 +218,16 @@ def _shrinks(file: Artifact) -> bool:
     return file.media_type.startswith("text/") or file.media_type == "application/json"
 
 
-def _stored(path: str, key: str, sha256: str, service: Service, *, compress: bool) -> Iterator[ZipMember]:
-    """One object, read twice. Raises ObjectNotFound or ObjectDamaged before the member begins."""
+def _stored(
+    path: str, key: str, sha256: str, size: int, service: Service, *, compress: bool
+) -> Iterator[ZipMember]:
+    """One object; a large one is read twice, first for its hash.
+
+    Raises ObjectNotFound or ObjectDamaged before the member begins.
+    """
+    if size <= _HELD_BYTES:
+        yield ZipMember(path, [read_whole(key, sha256, service.objects)], compress)
+        return
     check_whole(key, sha256, service.objects)
     with service.objects.open(key) as pieces:
         yield ZipMember(path, pieces, compress)

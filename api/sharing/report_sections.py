@@ -116,8 +116,12 @@ def _files(job: Job) -> str:
 
 
 def _log(job: Job, service: Service) -> str:
+    """Its last lines, for which no more of it is read than they need."""
     lines = deque[str](maxlen=_LOG_LINES)
-    for page in feeds.read_pages(job.id, "logs", store=service.store, objects=service.objects):
+    marks = service.store.marks([job.id])
+    after = max(0, marks[job.id].num_logs - _LOG_LINES) if job.id in marks else 0
+    store, objects = service.store, service.objects
+    for page in feeds.read_pages(job.id, "logs", store=store, objects=objects, after=after):
         lines.extend(str(entry.data.get("text", "")) for entry in page)
     return "\n".join(lines) or "The log is empty."
 

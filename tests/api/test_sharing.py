@@ -17,6 +17,7 @@ import httpx
 import pytest
 
 from api.sharing.export import ZipMember, zip_stream
+from core.jobs import feeds
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.storage import keys
@@ -121,6 +122,23 @@ def test_the_users_own_model_goes_along_or_is_named(stack: Stack) -> None:
     assert "gaitway models add model/*" in archive.read("README.txt").decode()
 
 
+def test_a_small_file_is_read_once_for_its_hash_and_its_bytes(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    attempt = Attempt(stack, job())
+    kept = [attempt.keep(f"{number}.png", bytes([number]), role="picture") for number in range(9)]
+    read, found = list[str](), MemoryObjectStore._found  # pyright: ignore[reportPrivateUsage]
+
+    def noting(self: MemoryObjectStore, key: str) -> Any:
+        read.append(key)
+        return found(self, key)
+
+    monkeypatch.setattr(MemoryObjectStore, "_found", noting)
+    archive = opened(stack, attempt.id)
+    assert read == [file.key for file in kept]
+    assert [archive.read(f"files/{number}.png") for number in range(9)] == [bytes([n]) for n in range(9)]
+
+
 def test_a_zip_is_sent_as_it_is_made() -> None:
     # Of 8 MiB in pieces of 1 MiB, no more than one piece (and the deflater's window) waits to be sent.
     read = 0
@@ -204,6 +222,21 @@ def test_markup_in_names_logs_and_metrics_is_text_and_nothing_runs(stack: Stack)
     assert report.text.count("</script>") == 3
     assert report.text.count("&lt;img") >= 4
     assert "sandbox" in report.headers["content-security-policy"]
+
+
+def test_a_report_reads_the_end_of_a_log_alone(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feeds, "_MAX_ENTRIES", 100)
+    attempt = Attempt(stack, job())
+    attempt.print(*(f"line {number}." for number in range(450)))
+    attempt.end()
+    while feeds.compact(store=stack.store, objects=stack.objects):
+        pass
+    first, second, *_ = [one for one in stack.store.chunks([attempt.id])[attempt.id] if one.channel == "logs"]
+    for unneeded in (first, second):
+        stack.objects.delete_prefix(unneeded.key)
+    report = stack.http.get(f"/jobs/{attempt.id}/report.html").text
+    assert re.findall(r"line (\d+)\.", report) == [str(number) for number in range(250, 450)]
+    assert "lost from" not in report
 
 
 def test_the_size_that_a_report_states_is_its_size(stack: Stack) -> None:
