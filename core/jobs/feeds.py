@@ -6,8 +6,11 @@ The record holds the newest entries. Older ones lie in chunks: immutable objects
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import datetime, timedelta
+from functools import partial
+from typing import Literal
 
+import msgspec
 import structlog
 
 from core.errors import ObjectDamaged, ObjectNotFound
@@ -29,6 +32,7 @@ _MAX_CHUNK_BYTES = 2**20
 # A page of a stream is encoded at once. An entry counts as one value.
 _MAX_VALUES = 2**14
 PAGE = 1000
+_encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(Entry)
 
 
 @dataclass(frozen=True)
@@ -140,7 +144,7 @@ def _entries_of(
         return [_gap(chunk, body, store)]
     if not _has_lines(chunk):
         return metrics_entries(Block.decode(body, chunk.first).after(after))
-    return (entry for entry in map(Entry.model_validate_json, body.splitlines()) if int(entry.id) > after)
+    return [entry for entry in _decoder.decode_lines(body) if int(entry.id) > after]
 
 
 def _has_lines(chunk: Chunk) -> bool:
@@ -177,7 +181,7 @@ def _gap(lost: Chunk, how: str, store: JobStore) -> Entry:
 
 def close_gap(job_id: str, lost: Chunk, *, store: JobStore, objects: ObjectStore) -> None:
     """Replace a lost chunk by one with a single entry, which says what was lost."""
-    body = _gap(lost, "lost from the object store", store).model_dump_json().encode() + b"\n"
+    body = _encoder.encode_lines([_gap(lost, "lost from the object store", store)])
     store.replace_chunk(job_id, lost, _stored(job_id, lost.channel, lost.first, lost.last, body, objects))
 
 
@@ -203,7 +207,7 @@ def _chunk(job_id: str, channel: Channel, store: JobStore, objects: ObjectStore)
     entries = store.oldest_entries(job_id, channel, limit=_MAX_ENTRIES, max_bytes=_MAX_CHUNK_BYTES)
     if not entries:
         return None
-    body = b"".join(entry.model_dump_json().encode() + b"\n" for entry in entries)
+    body = _encoder.encode_lines(entries)
     return _stored(job_id, channel, int(entries[0].id), int(entries[-1].id), body, objects)
 
 
@@ -214,7 +218,38 @@ def _metrics_chunk(job_id: str, store: JobStore, objects: ObjectStore) -> Chunk 
         block.extend(Block.decode(body, first))
     if not block.tables:
         return None
-    return _stored(job_id, "metrics", block.first, block.last, block.encode(), objects, is_block=True)
+    return _stored(job_id, "metrics", block.first, block.last, block.encode(), objects, ending="msgpack")
+
+
+def store_imported(
+    job_id: str, metrics: Iterable[Block], lines: Iterable[str], time: datetime, objects: ObjectStore
+) -> list[Chunk]:
+    """Store the feeds of a job that the record does not know yet; returns their chunks.
+
+    lines: of the log; all get this time. The keys are those of imported files, so that the sweep of orphans
+    removes what an interrupted import leaves. Raises StorageUnavailable.
+    """
+    stored = partial(_stored, job_id, objects=objects, is_imported=True)
+    chunks = [
+        stored("metrics", block.first, block.last, block.encode(), ending="msgpack") for block in metrics
+    ]
+    for batch in _batches(lines, time):
+        first, last = int(batch[0].id), int(batch[-1].id)
+        chunks.append(stored("logs", first, last, _encoder.encode_lines(batch)))
+    return chunks
+
+
+def _batches(lines: Iterable[str], time: datetime) -> Iterator[list[Entry]]:
+    """The lines as entries, in batches for a chunk each."""
+    batch, size = list[Entry](), 0
+    for number, text in enumerate(lines, 1):
+        batch.append(Entry("line", time, {"text": text}, str(number)))
+        size += len(text)
+        if len(batch) == _MAX_ENTRIES or size >= _MAX_CHUNK_BYTES:
+            yield batch
+            batch, size = list[Entry](), 0
+    if batch:
+        yield batch
 
 
 def _stored(  # noqa: PLR0913 # the parts of a chunk, and its place
@@ -225,9 +260,12 @@ def _stored(  # noqa: PLR0913 # the parts of a chunk, and its place
     body: bytes,
     objects: ObjectStore,
     *,
-    is_block: bool = False,
+    ending: Literal["jsonl", "msgpack"] = "jsonl",
+    is_imported: bool = False,
 ) -> Chunk:
     digest = hashlib.sha256(body).hexdigest()
-    key = keys.chunk(job_id, channel, first, digest, "msgpack" if is_block else "jsonl")
-    objects.put(key, body, media_type=f"application/{'msgpack' if is_block else 'jsonl'}")
+    key = keys.chunk(job_id, channel, first, digest, ending)
+    if is_imported:
+        key = keys.imported(job_id, digest, f"{channel}-{first}.{ending}")
+    objects.put(key, body, media_type=f"application/{ending}")
     return Chunk(channel, first, last, key, len(body), digest)

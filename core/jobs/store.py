@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal, Protocol
 
+import msgspec
 from pydantic import Field
 
 from core.accounts.principal import Ownership
@@ -25,7 +26,7 @@ _LONGEST_ID = 18
 ENTRY_ID = f"[0-9]{{0,{_LONGEST_ID}}}"
 
 
-class Entry(Stored):
+class Entry(msgspec.Struct, frozen=True):
     """One event of a job, or one line of its log; a feed has its entries in the order in which they happened.
 
     kind: `status`, `progress`, `metrics`, `artifact`, `phase`, `note` in `events`; `line` in `logs`.
@@ -33,10 +34,10 @@ class Entry(Stored):
     `values`, and comes back with values that are floats, or None where one was not finite.
     """
 
-    id: str = ""
     kind: str
     time: datetime
-    data: dict[str, Any] = Field(default_factory=dict)
+    data: dict[str, Any] = msgspec.field(default_factory=dict[str, Any])
+    id: str = ""
 
 
 def status_entry(job: Job, time: datetime | None = None) -> Entry:
@@ -205,12 +206,12 @@ class JobStore(ModelStore, UsageStore, WorkerStore, Protocol):
     def import_job(
         self,
         job: Job,
-        events: Iterable[Entry],
-        logs: Iterable[Entry],
+        chunks: Sequence[Chunk],
+        events: Sequence[Entry],
         *,
         idempotency: Idempotency | None = None,
     ) -> bool:
-        """Store an ended job with its feeds, all of it or nothing: an error in reading the feeds is raised.
+        """Store an ended job, the chunks of its feeds, and the events that follow them; all of it or nothing.
 
         False if the id exists or the key is remembered; see `add`. Raises JobUnreadable where the store
         cannot hold the record.

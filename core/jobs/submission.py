@@ -26,10 +26,12 @@ from core.errors import (
     StorageUnavailable,
 )
 from core.jobs.checks import check
+from core.jobs.feeds import store_imported
 from core.jobs.job import Artifact, Job, new_job_id
+from core.jobs.metrics import Block
 from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
 from core.jobs.spec import CheckpointPolicy, EnvironmentSpec, JobSpec, RolloutSpec, TrainSpec
-from core.jobs.store import Dispatch, Entry, Idempotency, JobStore
+from core.jobs.store import Chunk, Dispatch, Entry, Idempotency, JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models import library
@@ -240,12 +242,16 @@ class ImportedFile:
 
 @dataclass(frozen=True)
 class ImportedRun:
-    """A run under its new id. events, logs: its feeds; each may be read several times."""
+    """An ended run under its new id.
+
+    metrics: in the order of their numbers, each for a chunk. events: those after the metrics. log: its lines.
+    """
 
     job: Job
     files: Sequence[ImportedFile]
-    events: Iterable[Entry]
-    logs: Iterable[Entry]
+    metrics: Sequence[Block]
+    events: Sequence[Entry]
+    log: Iterable[str]
 
 
 def import_run(
@@ -262,7 +268,9 @@ def import_run(
             artifact = file.artifact
             with file.open() as stream:
                 _put(artifact, stream, objects)
-        job = _record(run, store, idempotency)
+        assert run.job.finished_at is not None  # noqa: S101
+        chunks = store_imported(run.job.id, run.metrics, run.log, run.job.finished_at, objects)
+        job = _record(run, chunks, store, idempotency)
     except RecordsUnavailable:  # The record may be stored, and only the answer lost.
         raise
     except Exception:
@@ -280,10 +288,12 @@ def _put(artifact: Artifact, stream: IO[bytes], objects: ObjectStore) -> None:
         raise BadExport(f"The file {artifact.name[:100]!r} cannot be stored: {error.detail}") from error
 
 
-def _record(run: ImportedRun, store: JobStore, idempotency: Idempotency | None) -> Job:
+def _record(
+    run: ImportedRun, chunks: Sequence[Chunk], store: JobStore, idempotency: Idempotency | None
+) -> Job:
     """The job once it is stored, or the one that another import with this key has stored meanwhile."""
     try:
-        while not store.import_job(run.job, run.events, run.logs, idempotency=idempotency):
+        while not store.import_job(run.job, chunks, run.events, idempotency=idempotency):
             # None if that job was deleted just now, and its key with it.
             if idempotency is not None and (known := store.remembered(idempotency)) is not None:
                 return known

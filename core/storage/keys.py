@@ -1,7 +1,8 @@
 """The bucket's layout, in one place.
 
 jobs/<id>/attempts/<n>/<hash>/<name>           an attempt's files, by the hash of their bytes
-jobs/<id>/imported/<hash>/<name>               a file that came with an import, by the hash of its bytes
+jobs/<id>/imported/<hash>/<name>               what came with an import, by the hash of its bytes: files, and
+                                               parts of feeds
 jobs/<id>/<channel>/<first>-<hash>.jsonl       a finished part of a feed, from entry <first> on
 jobs/<id>/metrics/<first>-<hash>.msgpack       the same for metrics, in columns
 models/<hash>/source                           a user's own model, as it was sent

@@ -94,14 +94,14 @@ def test_a_lost_answer_of_the_record_loses_nothing_and_the_sweep_finds_the_rest(
         patch.setattr(stack.store, "import_job", unanswered)
         problem(bring(stack.http, exported, **{"Idempotency-Key": "k"}), 503, "records-unavailable")
     left = [info.key for info in objects.list("")]
-    assert len(left) == 4
+    assert len(left) == 6  # Four files, the metrics and the log.
     answer = bring(stack.http, exported, **{"Idempotency-Key": "k"})
     assert answer.status_code == 201
     own = keys.job(answer.json()["id"])
     for _ in sweep(store=stack.store, objects=objects):
         pass
     kept = [info.key for info in objects.list("")]
-    assert len(kept) == 4
+    assert len(kept) == 6
     assert all(key.startswith(own) for key in kept)
     assert (kept == left) == is_stored
     assert stack.http.get(f"{answer.json()['links']['video']}").content == ARTIFACT

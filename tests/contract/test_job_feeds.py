@@ -68,9 +68,8 @@ class TestEntries:
         note = Entry(kind="note", time=NOW, data={"loss": float("inf")})
         jobs.record(job.id, job.token, "events", [entry, note], write_id="w")
         *_, measured, noted = jobs.feed(job.id, "events").entries
-        assert measured == entry.model_copy(
-            update={"id": "2", "data": {"step": 1, "values": {"loss": None, "reward": 1.5}}}
-        )
+        data = {"step": 1, "values": {"loss": None, "reward": 1.5}}
+        assert measured == Entry(id="2", kind="metrics", time=NOW, data=data)
         assert noted.data == {"loss": None}
 
     def test_reading_resumes_after_a_number(self, jobs: JobStore, job: Job) -> None:

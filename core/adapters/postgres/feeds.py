@@ -2,14 +2,11 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
-from datetime import timedelta
-from tempfile import TemporaryFile
+from datetime import datetime, timedelta
 from typing import Any
 
-import msgspec
 from pydantic_core import to_json
 from sqlalchemy import (
     Column,
@@ -30,7 +27,7 @@ from sqlalchemy.dialects.postgresql import insert
 from core.adapters.postgres import rows
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.tables import NOW, UNFINISHED, chunks, entries, jobs, metrics
-from core.errors import JobNotFound, LeaseLost, StorageUnavailable
+from core.errors import JobNotFound, LeaseLost
 from core.jobs.job import Progress
 from core.jobs.metrics import Block
 from core.jobs.store import (
@@ -138,42 +135,23 @@ _AT_ONCE = {"chunks": _MAX_CHUNKS + 1, "bytes": 2**20}
 _STREAM_BYTES, _BLOCK_BYTES = 2**17, 2**20
 _MAX_BLOCKS = 2000
 _MAX_DUE = 200
-# Appending one batch takes a fraction of a call's time limit.
-_BATCH = 1000
-_BATCH_BYTES = 2**20
 
 
-class _EntryBatch:
-    """Entries for one statement: by their places from 1 on, and a block of the metrics among them.
-
-    size: about as many bytes as it has.
-    """
-
-    def __init__(self, batch: Iterable[Entry] = ()) -> None:
-        self.count = self.size = 0
-        self._texts: dict[str, list[Any]] = {"places": [], "kinds": [], "times": [], "data": []}
-        self._measured = Block()
-        for entry in batch:
-            self.add(entry)
-
-    def add(self, entry: Entry) -> None:
-        self.count += 1
+def _values_of(added: Sequence[Entry]) -> dict[str, Any]:
+    """The parameters of `_WRITTEN`, but for the job and the channel."""
+    places, kinds, times, data = list[int](), list[str](), list[str](), list[str]()
+    measured = Block()
+    for place, entry in enumerate(added, 1):
         if entry.kind == "metrics":
-            self._measured.add(metrics_row(entry, self.count))
-            self.size += 8 * len(entry.data["values"])
-            return
-        data = to_json(entry.data, inf_nan_mode="null").decode()
-        for name, value in zip(
-            self._texts, (self.count, entry.kind, entry.time.isoformat(), data), strict=True
-        ):
-            self._texts[name].append(value)
-        self.size += len(data)
-
-    def values(self) -> dict[str, Any]:
-        """The parameters of `_WRITTEN`, but for the job and the channel."""
-        block = self._measured
-        body = block.encode() if block.tables else None
-        return {"count": self.count, **self._texts, "first": block.first, "last": block.last, "block": body}
+            measured.add(metrics_row(entry, place))
+            continue
+        places.append(place)
+        kinds.append(entry.kind)
+        times.append(entry.time.isoformat())
+        data.append(to_json(entry.data, inf_nan_mode="null").decode())
+    block = measured.encode() if measured.tables else None
+    texts = {"places": places, "kinds": kinds, "times": times, "data": data}
+    return {"count": len(added), **texts, "first": measured.first, "last": measured.last, "block": block}
 
 
 class _Found:
@@ -213,7 +191,7 @@ class FeedQueries(Session):
             "channel": channel,
             "write_id": write_id,
             "progress": None if progress is None else progress.model_dump_json(),
-            **_EntryBatch(entries).values(),
+            **_values_of(entries),
         }
         with self._statements() as connection:
             if connection.execute(_APPEND_AS_ATTEMPT[channel], values).first() is None:
@@ -315,47 +293,22 @@ class FeedQueries(Session):
 
 def append(connection: Connection, job_id: str, channel: Channel, added: Sequence[Entry]) -> None:
     """Number the entries and store them."""
-    append_all(connection, job_id, channel, [_EntryBatch(added).values()])
+    values = {"job_id": job_id, "channel": channel, "progress": None, **_values_of(added)}
+    connection.execute(_APPEND[channel], values)
 
 
-@contextmanager
-def prepared(feed: Iterable[Entry]) -> Generator[Iterator[dict[str, Any]]]:
-    """Any number of entries, read now, and ready to be appended in batches: a file holds them, so that the
-    transaction waits for nobody. Raises StorageUnavailable where this machine has no room for it."""
-    with TemporaryFile(prefix="gaitway-feed-") as file:
-        try:
-            for batch in _batches(feed):
-                body = msgspec.msgpack.encode(batch.values())
-                file.write(len(body).to_bytes(8) + body)
-            file.seek(0)
-        except OSError as error:
-            raise StorageUnavailable(f"The API has no room for the feed: {error.strerror}.") from error
-        sizes = iter(lambda: file.read(8), b"")
-        yield (msgspec.msgpack.decode(file.read(int.from_bytes(size))) for size in sizes)
+def add_chunks(connection: Connection, job_id: str, added: Sequence[Chunk]) -> None:
+    """Give a job whose feeds are empty these chunks, which begin them."""
+    if not added:
+        return
+    connection.execute(insert(chunks), [{"job_id": job_id, **asdict(chunk)} for chunk in added])
+    num_logs = max((chunk.last for chunk in added if chunk.channel == "logs"), default=0)
+    num_events = max((chunk.last for chunk in added if chunk.channel != "logs"), default=0)
+    grown = update(jobs).where(jobs.c.id == job_id).values(num_events=num_events, num_logs=num_logs)
+    connection.execute(grown)
 
 
-def append_all(
-    connection: Connection, job_id: str, channel: Channel, batches: Iterable[dict[str, Any]]
-) -> None:
-    """Append what `prepared` has made ready."""
-    for batch in batches:
-        connection.execute(
-            _APPEND[channel], {"job_id": job_id, "channel": channel, "progress": None, **batch}
-        )
-
-
-def _batches(feed: Iterable[Entry]) -> Iterator[_EntryBatch]:
-    """The entries in batches of which each is one statement."""
-    batch = _EntryBatch()
-    for entry in feed:
-        batch.add(entry)
-        if batch.count == _BATCH or batch.size > _BATCH_BYTES:
-            yield batch
-            batch = _EntryBatch()
-    if batch.count:
-        yield batch
-
-
-def _entry_of(number: int, kind: str, time: Any, data: str) -> Entry:
-    """time: a datetime, or text in ISO 8601."""
-    return Entry(id=str(number), kind=kind, time=time, data=json.loads(data))
+def _entry_of(number: int, kind: str, time: datetime | str, data: str) -> Entry:
+    """time: text is in ISO 8601."""
+    when = datetime.fromisoformat(time) if isinstance(time, str) else time
+    return Entry(kind, when, json.loads(data), str(number))

@@ -1,7 +1,7 @@
 """The jobs of the record, from submission to deletion."""
 
 import hashlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import timedelta
 from functools import cache, partial
 from typing import Any, NoReturn
@@ -40,7 +40,7 @@ from core.adapters.postgres.tables import (
 from core.errors import IdempotencyKeyReused, JobExists, JobInUse, JobNotFound, JobUnreadable, StaleJob
 from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id
 from core.jobs.status import JobStatus
-from core.jobs.store import Entry, Idempotency, JobPage, JobQuery, Mark, note_entry, status_entry
+from core.jobs.store import Chunk, Entry, Idempotency, JobPage, JobQuery, Mark, note_entry, status_entry
 
 KEYS_REMEMBERED = timedelta(hours=24)
 # Rows of one call, which has two seconds: an import of 5,000 files was refused as an outage.
@@ -73,21 +73,18 @@ class JobQueries(Session):
     def import_job(
         self,
         job: Job,
-        events: Iterable[Entry],
-        logs: Iterable[Entry],
+        chunks: Sequence[Chunk],
+        events: Sequence[Entry],
         *,
         idempotency: Idempotency | None = None,
     ) -> bool:
         try:
-            with (
-                feeds.prepared(events) as ready,
-                feeds.prepared(logs) as printed,
-                self._transaction(is_large=True) as connection,
-            ):
+            with self._transaction(is_large=True) as connection:
                 if not add_job(connection, job, idempotency):
                     return False
-                feeds.append_all(connection, job.id, "events", ready)
-                feeds.append_all(connection, job.id, "logs", printed)
+                feeds.add_chunks(connection, job.id, chunks)
+                if events:
+                    feeds.append(connection, job.id, "events", events)
         except IntegrityError as error:
             if isinstance(error.orig, UniqueViolation):
                 return False
