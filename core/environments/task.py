@@ -12,10 +12,12 @@ from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
 from core.environments.numbers import Noise, NotSimulated
 from core.environments.simulation import Simulation
+from core.environments.terms import foot_times
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.binding import bound, servo_targets
 from core.environments.terms.describe import height_of, root_of
 from core.environments.terms.feet import feet_of
+from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
@@ -57,12 +59,14 @@ class TaskEnv(MujocoEnv):
         self._targets = None
         if isinstance(options.action, JointPositionAction):
             self._targets = servo_targets(options.action, model, start)
-        self._options = options
+        self._options, self._memory = options, options.memory
         height = height_of(model, start, root)
         ends = _default_ends(parts, height) if options.termination is None else options.termination
         self._ends = [bound(term, named) for term in ends]
         where = () if named.free_joint(root) is not None else ("xpos",)
-        fields = set(where).union(*(term.derived for term in (*self._rewards, *self._seen, *self._ends)))
+        read_by_feet = FIELDS if "foot_times" in self._memory else ()
+        bound_terms = (*self._rewards, *self._seen, *self._ends)
+        fields = set(where).union(read_by_feet, *(term.derived for term in bound_terms))
         num_substeps = options.n_frames or max(1, round(_SECONDS_PER_ACTION / model.opt.timestep))
         accelerated = SolverSettings(
             options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
@@ -92,11 +96,9 @@ class TaskEnv(MujocoEnv):
             normal_velocity=reset.velocity_distribution == "normal",
         )
         nothing = jnp.zeros(self.action_size)
-        step = Step(physics, physics, nothing, nothing, self.dt, jnp)
-        info: dict[str, jax.Array] = {
-            "previous_action": nothing,
-            "start": self._parts.position(physics, self.tracked_body),
-        }
+        start = self._parts.position(physics, self.tracked_body)
+        step = Step(physics, physics, nothing, nothing, self.dt, jnp, start=start)
+        info: dict[str, jax.Array] = {"previous_action": nothing, "start": start}
         if self._is_random:
             info["key"] = jax.random.key_data(jax.random.fold_in(key, _OF_THE_EPISODE))
             info["steps"] = jnp.zeros((), jnp.int32)
@@ -105,7 +107,15 @@ class TaskEnv(MujocoEnv):
             info["command"] = drawn if command is None else command
         if options.gait:
             info["phase"] = self._uniform(info, 1, 1)[0]
-        return initial(self._after(replace(step, command=info.get("command")), info))
+        step = replace(step, command=info.get("command"))
+        if "earlier_action" in self._memory:
+            info["earlier_action"] = nothing
+            step = replace(step, earlier_action=nothing)
+        if "foot_times" in self._memory:
+            times, carried = foot_times.at_start(step, self._parts)
+            info |= carried
+            step = replace(step, foot_times=times)
+        return initial(self._after(step, info))
 
     def step(self, state: State, action: jax.Array) -> State:
         info = dict(state.info)
@@ -114,8 +124,16 @@ class TaskEnv(MujocoEnv):
         before = self._pushed(state.physics, info)
         physics = self.engine.step(before, self._control(action))
         previous = info["previous_action"]
-        step = Step(before, physics, action, previous, self.dt, jnp, info.get("command"))
+        start = info["start"]
+        step = Step(before, physics, action, previous, self.dt, jnp, info.get("command"), start=start)
         info["previous_action"] = action
+        if "earlier_action" in self._memory:
+            step = replace(step, earlier_action=info["earlier_action"])
+            info["earlier_action"] = previous
+        if "foot_times" in self._memory:
+            times, carried = foot_times.after(info, step, self._parts)
+            info |= carried
+            step = replace(step, foot_times=times)
         if (gait := self._options.gait) is not None:
             info["phase"] = (info["phase"] + gait.frequency * self.dt) % 1.0
         if (command := self._options.command) is not None:

@@ -20,8 +20,18 @@ TERMS = options(
         {"kind": "contact", "geoms": ["sphere", "rod"]},
         {"kind": "energy", "weight": 0.1},
         {"kind": "velocity_tracking", "velocity": [0.3, 0.4]},
+        {"kind": "angular_momentum", "weight": 100.0},
+        {"kind": "undesired_contacts", "bodies": ["ball"]},
+        {"kind": "foot_slip"},
     ],
-    observation=[{"kind": "qpos"}, {"kind": "sensors"}, {"kind": "cvel"}, {"kind": "body_positions"}],
+    observation=[
+        *(
+            {"kind": kind}
+            for kind in ("qpos", "sensors", "cvel", "body_positions", "foot_contact", "foot_velocity")
+        ),
+        {"kind": "foot_contact_force", "scale": 0.01},
+    ],
+    feet=["ball"],
     termination=[{"kind": "contact", "geoms": ["sphere"], "against": "floor"}],
 )
 

@@ -9,11 +9,11 @@ from core.documents import Strict
 from core.environments.mjcf.unmatched import unmatched, unmatched_by
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.inventory import Inventory, Kind
-from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture
+from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture, VariablePosture
 from core.environments.terms.observations import Activation, Qpos, Sensors
 from core.environments.terms.rewards import Contact, Distance, ForwardVelocity, JointLimits, VelocityTracking
 from core.environments.terms.task import MOST_FEET, Reset, TaskOptions, observed, parts_of
-from core.environments.terms.term import Need, Term
+from core.environments.terms.term import Need, OfBodyContact, Term
 from core.environments.terms.terminations import Touching
 from core.errors import Problem
 from core.nearest import nearest
@@ -21,6 +21,7 @@ from core.nearest import nearest
 _OPTIONS = "/environment/options"
 _MAX_NAMES = 20
 _JOINT = "hinge or slide"
+_TOUCHING = "body with a geom that can touch anything"
 # A model may have thousands of parts, so only the first wrong names are compared with them.
 _MAX_HINTS = 3
 # The fields of terms that name parts of the model, and the kind of part.
@@ -48,6 +49,14 @@ class _Parts:
         if kind not in self._known:
             self._known[kind] = dict.fromkeys(self.model.names(kind))
         return self._known[kind]
+
+    @cached_property
+    def touching(self) -> list[str]:
+        """The bodies that have a geom which can touch something; all, where these are not known."""
+        colliders = self.model.colliders
+        if colliders is None:
+            return self.model.bodies[1:]
+        return list(dict.fromkeys(on[0] for on in colliders.values()))
 
     @cached_property
     def has_range(self) -> bool:
@@ -96,23 +105,34 @@ def _of_options(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
 def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     """Terms without what they need, and a command and a clock that fit nothing."""
     root = options.root or parts.model.root
+    bare = _feet_without_colliders(options, parts.model)
+    words = {"root": root, "foot": next(iter(bare), None)}
     has: dict[Need, bool] = {
         "command": options.command is not None,
         "feet": bool(options.feet),
+        "foot_colliders": not bare,
         "free_root": root in parts.free,
         "gait": options.gait is not None,
     }
     for pointer, term in _terms(options):
-        for need in sorted(term.needs - {need for need, is_there in has.items() if is_there}):
+        for need in sorted(term.needed - {need for need, is_there in has.items() if is_there}):
             kind = getattr(term, "kind", "")
-            yield Problem(pointer, f"The term {kind} needs {_NEEDED[need].format(root=root)}.")
+            yield Problem(pointer, f"The term {kind} needs {_NEEDED[need].format(**words)}.")
     if options.events and not has["free_root"]:
-        yield Problem(f"{_OPTIONS}/events", f"A push needs {_NEEDED['free_root'].format(root=root)}.")
+        yield Problem(f"{_OPTIONS}/events", f"A push needs {_NEEDED['free_root'].format(**words)}.")
     if options.command and not any("command" in term.needs for term in options.reward or ()):
         yield Problem(
             f"{_OPTIONS}/command", "No term of the reward reads the command, so nothing would follow it."
         )
     yield from _of_feet(options, parts.model)
+
+
+def _feet_without_colliders(options: TaskOptions, model: Inventory) -> list[str]:
+    """Feet without a geom that can touch anything; none of a model that was described before they were
+    noted."""
+    if model.colliders is None:
+        return []
+    return [foot for foot, geoms in parts_of(options, model).feet_colliders.items() if not geoms]
 
 
 def _of_feet(options: TaskOptions, model: Inventory) -> Iterator[Problem]:
@@ -130,6 +150,7 @@ def _of_feet(options: TaskOptions, model: Inventory) -> Iterator[Problem]:
 _NEEDED: dict[Need, str] = {
     "command": "a `command`",
     "feet": "`feet`",
+    "foot_colliders": "feet that can touch something, and no geom of {foot!r} can",
     "free_root": "a free joint of the root, and the body {root!r} has none",
     "gait": "a `gait`",
 }
@@ -150,6 +171,12 @@ def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     for here, term in _terms(options):
         if isinstance(term, Posture):
             tables.append((f"{here}/weights", term.weights))
+        if isinstance(term, VariablePosture):
+            tables += [
+                (f"{here}/{field}", getattr(term, field)) for field in ("standing", "walking", "running")
+            ]
+        if isinstance(term, OfBodyContact):
+            yield from unmatched(term.bodies, parts.touching, _TOUCHING, f"{here}/bodies")
         if isinstance(term, JointPositions | JointVelocities):
             yield from unmatched(term.joints or (), joints, _JOINT, f"{here}/joints")
     if isinstance(options.action, JointPositionAction) and isinstance(options.action.scale, dict):
@@ -163,6 +190,8 @@ def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:
     for field, kind in _NAMING.items():
         if field == "joints" and isinstance(term, JointPositions | JointVelocities):
             continue  # These are patterns.
+        if field == "bodies" and isinstance(term, OfBodyContact):
+            continue
         named: str | list[str] | None = getattr(term, field, None)
         if isinstance(named, list):
             for number, name in enumerate(named):

@@ -110,6 +110,7 @@ def edited(model: Inventory, edits: ModelEdits) -> Inventory:
             ),
             "geoms": [*floor, *model.geoms],
             "keyframes": model.keyframes if edits.pose is None else [*keyframes, HOME],
+            "colliders": _colliders(model, edits),
             "num_pairs": _num_pairs(model, edits),
         }
     )
@@ -142,6 +143,19 @@ def _needs_floor(model: Inventory, edits: ModelEdits) -> bool:
     return edits.floor and not model.num_fixed_colliders
 
 
+def _colliders(model: Inventory, edits: ModelEdits) -> dict[str, list[str]] | None:
+    """As in an inventory; None where the bodies of some are not known."""
+    if model.colliders is None or edits.collide in ("declared", "floor"):
+        return model.colliders
+    if edits.collide == "feet":
+        feet = set(matching(edits.feet or [], model.bodies))
+        return {geom: on for geom, on in model.colliders.items() if feet.intersection(on)}
+    chosen = matching(edits.collide, _moving(model))
+    if not model.colliders.keys() >= set(chosen):
+        return None
+    return {geom: model.colliders[geom] for geom in chosen}
+
+
 def _num_pairs(model: Inventory, edits: ModelEdits) -> int | None:
     """Pairs of geoms that may touch; None where they are not known."""
     if model.colliders is None or model.num_pairs is None:
@@ -153,7 +167,6 @@ def _num_pairs(model: Inventory, edits: ModelEdits) -> int | None:
         case "floor":
             return len(model.colliders) * num_fixed
         case "feet":
-            feet = set(matching(edits.feet or [], model.bodies))
-            return num_fixed * sum(bool(feet & set(bodies)) for bodies in model.colliders.values())
+            return num_fixed * len(_colliders(model, edits) or {})
         case patterns:
             return num_fixed * len(matching(patterns, _moving(model)))

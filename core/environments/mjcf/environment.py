@@ -32,7 +32,7 @@ def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None =
         parts = inventory(compiled(spec, options.timestep))
         task = _from_the_pose(options)
         _check(problems(task, parts))
-        stepped = compiled(spec, options.timestep, task.contacts, task.sensors)
+        stepped = compiled(spec, options.timestep, task.readings(parts), task.sensors)
         _check(holding.problems(stepped, options.edits, _EDITS))
         return TaskEnv(task, parts, spec, stepped, build_engine)
 

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -11,7 +11,8 @@ from typing import Any
 import mujoco
 
 from core.environments.mjcf.archive import examine
-from core.environments.terms.contact_sensors import add_sensors
+from core.environments.terms.added_sensors import add_sensors
+from core.environments.terms.readings import Reading
 from core.errors import BadModel, JobFailed
 from core.reasons import Reason
 
@@ -57,10 +58,10 @@ def read(file: Path) -> Generator[tuple[mujoco.MjSpec, str]]:
 def compiled(
     spec: mujoco.MjSpec,
     timestep: float | None = None,
-    contacts: list[tuple[str, str | None]] | None = None,
+    readings: Iterable[Reading] = (),
     sensors: list[str] | None = None,
 ) -> mujoco.MjModel:
-    """The model, with sensors for these contacts, and without sleep: no engine carries who sleeps.
+    """The model, with sensors for these readings, and without sleep: no engine carries who sleeps.
 
     sensors: those of its own to keep, so that an engine need not have the others; None: all.
     Raises JobFailed("bad_model").
@@ -71,7 +72,7 @@ def compiled(
     for sensor in spec.sensors if sensors is not None else ():
         if sensor.name not in sensors:
             spec.delete(sensor)
-    add_sensors(spec, contacts or [])
+    add_sensors(spec, readings)
     try:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:

@@ -13,5 +13,5 @@ def make(options: TaskOptions, build_engine: EngineBuilder, robot: str) -> TaskE
     """The robot's task under these options. Raises JobFailed("bad_model") where its package is missing."""
     edited = spec(ROBOTS[robot])
     parts = inventory(compiled(edited))
-    stepped = compiled(edited, options.timestep, options.contacts, options.sensors)
+    stepped = compiled(edited, options.timestep, options.readings(parts), options.sensors)
     return TaskEnv(options, parts, edited, stepped, build_engine)

@@ -15,13 +15,13 @@ from core.environments.robots.go1 import GO1
 from core.environments.robots.robot import Robot
 from core.environments.terms.actions import AnyAction, JointPositionAction
 from core.environments.terms.commands import GaitClock, VelocityCommand
+from core.environments.terms.foot_terms import FootSlip, SwingHeight
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.locomotion import (
     BaseAngularVelocity,
     BaseLinearVelocity,
     Command,
     FlatOrientation,
-    FootSlip,
     GaitPhase,
     JointPositions,
     JointVelocities,
@@ -30,7 +30,6 @@ from core.environments.terms.locomotion import (
     ProjectedGravity,
     RollPitchRate,
     StandStill,
-    SwingHeight,
     TrackAngularVelocity,
     TrackLinearVelocity,
     VerticalVelocity,

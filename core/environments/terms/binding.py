@@ -10,6 +10,7 @@ import numpy as np
 
 from core.environments.patterns import by_name
 from core.environments.terms.actions import JointPositionAction
+from core.environments.terms.foot_times import FootTimes
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.term import Array, Term
 from core.errors import JobFailed
@@ -32,7 +33,15 @@ def bound(term: Term, model: ModelIndex) -> BoundTerm:
     derived = _Noted(data)
     physics = SimpleNamespace(qpos=data.qpos, qvel=data.qvel, act=data.act, derived=derived)
     nothing = np.zeros(model.model.nu)
-    step = Step(physics, physics, nothing, nothing, 1.0, np, np.zeros(3), np.zeros(len(model.feet)))
+    each_foot = np.zeros(len(model.feet))
+    step = Step(
+        physics, physics, nothing, nothing, 1.0, np,
+        command=np.zeros(3),
+        phases=each_foot,
+        start=np.zeros(3),
+        foot_times=FootTimes(*[each_foot] * 5),
+        earlier_action=nothing,
+    )  # fmt: skip
     size = np.size(term.measure(step, model))
     return BoundTerm(frozenset(derived.read), size, lambda step: term.measure(step, model))
 

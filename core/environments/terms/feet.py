@@ -34,10 +34,10 @@ def feet_of(model: mujoco.MjModel, patterns: Sequence[str], qpos: np.ndarray) ->
     """
     if not patterns:
         return []
-    bodies = matching_in_turn(patterns, [model.body(number).name for number in range(1, model.nbody)])
     data, contacts = near_world(model, qpos)
     moving, _ = touchable(model)
-    return [_foot(model, data, contacts, model.body(name).id, moving) for name in bodies]
+    bodies = matching_in_turn(patterns, [model.body(number).name for number in range(1, model.nbody)])
+    return [_foot(model, data, contacts, int(model.body(name).id), moving) for name in bodies]
 
 
 def _foot(

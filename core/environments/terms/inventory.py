@@ -120,3 +120,14 @@ class ModelParts:
     model: Inventory
     root: str
     feet: tuple[str, ...] = ()
+
+    @property
+    def feet_colliders(self) -> dict[str, list[str]]:
+        """The geoms that can touch something, of each foot and of what is welded to it."""
+        colliders = (self.model.colliders or {}).items()
+        return {foot: [geom for geom, on in colliders if foot in on] for foot in self.feet}
+
+    def colliders_of(self, patterns: Sequence[str]) -> list[str]:
+        """The geoms that can touch something, of the bodies that a pattern matches."""
+        bodies = set(matching(patterns, self.model.bodies[1:]))
+        return [geom for geom, on in (self.model.colliders or {}).items() if on[0] in bodies]

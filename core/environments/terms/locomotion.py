@@ -1,16 +1,17 @@
-"""Terms of robots that walk by command: of the root in its own frame, of joints about the pose, of feet.
+"""Terms of robots that walk by command: of the root in its own frame, and of joints about the pose.
 
 Names and forms are those of legged_gym, Isaac Lab, mjlab and Playground. The root has a free joint: its
 qvel is the linear velocity along the world's axes and the angular velocity about the root's own.
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+from core.bounds import MOST_MEMBERS
 from core.environments.info import Slice, named
-from core.environments.patterns import PATTERNS, Patterns, PerName
+from core.environments.patterns import PATTERNS, Pattern, Patterns, PerName
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.term import Array, CostTerm, RewardTerm
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
 
 _AXES = ("x", "y", "z")
+Tolerances = Annotated[
+    dict[Pattern, Annotated[float, Field(gt=0, le=100)]], Field(min_length=1, max_length=MOST_MEMBERS)
+]
 
 
 class BaseLinearVelocity(ObservationTerm):
@@ -262,41 +266,62 @@ class JointTorque(CostTerm):
         return step.xp.sum(step.after.derived["qfrc_actuator"][model.joint_velocities(None)] ** 2)
 
 
-class SwingHeight(RewardTerm):
-    """exp(−Σ (z − z*)² / σ²) over the feet: feet follow the gait's clock.
+class VariablePosture(RewardTerm):
+    """exp(−mean((q − q*)² / σ²)) over the joints that have a σ at the command's speed s = ‖c_xy‖ + |c_turn|.
 
-    z: how far a foot's sole is above the ground; z* = h max(0, sin φ) while the command is to move, otherwise
-    0. In m.
+    Source: mjlab's `variable_posture`.
     """
 
-    needs = frozenset({"command", "feet", "gait"})
+    needs = frozenset({"command"})
 
-    kind: Literal["swing_height"] = "swing_height"
-    height: float = Field(default=0.1, gt=0, le=1, description="The highest point h of a swing, in m.")
-    tolerance: float = Field(default=0.06, gt=0, le=1, description="Error at which the term is 1/e, in m.")
-
-    def measure(self, step: "Step", model: "ModelIndex") -> Array:
-        xp = step.xp
-        wanted = xp.where(step.is_moving, self.height * xp.maximum(xp.sin(step.phases), 0.0), 0.0)
-        return xp.exp(-xp.sum((model.foot_heights(step) - wanted) ** 2) / self.tolerance**2)
-
-
-class FootSlip(CostTerm):
-    """Σ ‖v_xy‖² of the soles that are on the ground, in m²/s². v: of a sole's lowest point."""
-
-    needs = frozenset({"feet"})
-
-    kind: Literal["foot_slip"] = "foot_slip"
-    height: float = Field(
-        default=0.02,
-        gt=0,
-        le=1,
-        description="A foot is on the ground where its sole is lower than this above it, in m.",
+    kind: Literal["variable_posture"] = "variable_posture"
+    standing: Tolerances = Field(
+        default={".*": 0.05}, description=f"σ of joints, in rad or m, while s is below `walks_at`. {PATTERNS}"
     )
+    walking: Tolerances = Field(default={".*": 0.3}, description="σ between the two.")
+    running: Tolerances = Field(default={".*": 0.5}, description="σ from `runs_at` on.")
+    walks_at: float = Field(default=0.05, ge=0, le=100, description="In m/s and rad/s.")
+    runs_at: float = Field(default=1.5, ge=0, le=100, description="In m/s and rad/s.")
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
-        speed = step.xp.sum(model.foot_velocities(step)[:, :2] ** 2, 1)
-        return step.xp.sum(step.xp.where(model.foot_heights(step) < self.height, speed, 0.0))
+        xp, places = step.xp, model.joint_positions(None)
+        squares = (step.after.qpos[places] - step.array(model.pose[places])) ** 2
+        mean = [
+            xp.sum(step.array(model.inverse_squares(widths)) * squares)
+            for widths in (self.standing, self.walking, self.running)
+        ]
+        speed = step.command_speed
+        return xp.exp(
+            -xp.where(speed < self.walks_at, mean[0], xp.where(speed < self.runs_at, mean[1], mean[2]))
+        )
+
+
+class BaseHeight(CostTerm):
+    """(z − h)²: how far the root is from a height above the world's origin, in m²."""
+
+    needs = frozenset({"free_root"})
+
+    kind: Literal["base_height"] = "base_height"
+    height: float | None = Field(default=None, ge=0, le=100, description="h in m; null: that of the pose.")
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        wanted = model.pose_height if self.height is None else self.height
+        return (model.position(step.after, model.root)[2] - wanted) ** 2
+
+
+class AngularMomentum(CostTerm):
+    """‖L‖²: the angular momentum of the root and all that it carries, about their centre of mass, in
+    kg² m⁴/s².
+
+    Source: mjlab's `angular_momentum_penalty`, which makes arms swing.
+    """
+
+    needs = frozenset({"free_root"})
+
+    kind: Literal["angular_momentum"] = "angular_momentum"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.sum(model.angular_momentum(step) ** 2)
 
 
 WalkingObservation = (
@@ -319,6 +344,7 @@ WalkingReward = (
     | JointVelocityCost
     | JointAcceleration
     | JointTorque
-    | SwingHeight
-    | FootSlip
+    | VariablePosture
+    | BaseHeight
+    | AngularMomentum
 )

@@ -17,6 +17,7 @@ from core.environments.terms.term import (
     Names,
     OfAxis,
     OfBody,
+    OfBodyContact,
     OfContact,
     OfHeight,
     RewardTerm,
@@ -112,6 +113,18 @@ class Energy(CostTerm):
         return step.xp.sum(abs(step.after.derived["qfrc_actuator"] * step.after.qvel))
 
 
+class ElectricalPower(CostTerm):
+    """Σ max(0, τ q̇): the power that actuators put into joints, in W; they take none back.
+
+    Source: mjlab's `electrical_power_cost`.
+    """
+
+    kind: Literal["electrical_power"] = "electrical_power"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.sum(step.xp.maximum(step.after.derived["qfrc_actuator"] * step.after.qvel, 0.0))
+
+
 class ActionRate(CostTerm):
     """Σ (aₜ − aₜ₋₁)²: the squared norm of the action's change since the last step."""
 
@@ -119,6 +132,21 @@ class ActionRate(CostTerm):
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return step.xp.sum((step.action - step.previous_action) ** 2)
+
+
+class ActionAcceleration(CostTerm):
+    """Σ (aₜ − 2 aₜ₋₁ + aₜ₋₂)²: the squared norm of the change of the action's change; actions before an
+    episode's first are 0.
+
+    Source: mjlab's `action_acc_l2`; the second difference of actions in Playground's smoothness costs.
+    """
+
+    remembers = frozenset({"earlier_action"})
+
+    kind: Literal["action_acceleration"] = "action_acceleration"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.sum((step.action - 2.0 * step.previous_action + step.earlier_action) ** 2)
 
 
 class Distance(OfBody, CostTerm):
@@ -173,6 +201,15 @@ class Contact(OfContact, RewardTerm):
         return self.num_touching(step, model)
 
 
+class UndesiredContacts(OfBodyContact, CostTerm):
+    """How many of the bodies touch something."""
+
+    kind: Literal["undesired_contacts"] = "undesired_contacts"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return self.num_touching(step, model)
+
+
 CommonReward = (
     ForwardVelocity
     | VelocityTracking
@@ -181,8 +218,11 @@ CommonReward = (
     | Alive
     | ControlCost
     | Energy
+    | ElectricalPower
     | ActionRate
+    | ActionAcceleration
     | Distance
     | JointLimits
     | Contact
+    | UndesiredContacts
 )

@@ -9,8 +9,10 @@ import mujoco
 import numpy as np
 
 from core.environments.patterns import by_name, matching
-from core.environments.terms.contact_sensors import is_ours, sensor_name
+from core.environments.terms.describe import touchable
 from core.environments.terms.feet import Foot
+from core.environments.terms.foot_times import FootTimes
+from core.environments.terms.readings import ContactCount, ContactForce, is_added
 from core.environments.terms.term import Array
 
 # A command below this norm (m/s, rad/s) is to stand still.
@@ -22,7 +24,10 @@ class Step:
     """before, after: the physics before and after it, a `PhysicsState` or what has its fields. action,
     previous_action: [nu], each in [-1, 1]; the latter is zero in an episode's first step. dt: its duration
     in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`. command: [3], as
-    `VelocityCommand` has it; zeros without one. phases: of the gait's clock, [feet] in rad.
+    `VelocityCommand` has it; None without one. phases: of the gait's clock, [feet] in rad. start: the root's
+    position [3] at the episode's start, in m.
+
+    For terms that remember them: foot_times; earlier_action: [nu], the one before the previous one.
     """
 
     before: Any
@@ -33,11 +38,29 @@ class Step:
     xp: ModuleType
     command: Array = None
     phases: Array = None
+    start: Array = None
+    foot_times: FootTimes | None = None
+    earlier_action: Array = None
 
     @property
     def is_moving(self) -> Array:
         """Whether the command is to move, []."""
         return self.xp.sum(self.command**2) > _STANDING**2
+
+    @property
+    def command_speed(self) -> Array:
+        """‖c_xy‖ + |c_turn| of a command of velocity, []: m/s and rad/s, added up."""
+        return self.xp.sqrt(self.xp.sum(self.command[:2] ** 2)) + abs(self.command[2])
+
+    def while_moving(self, value: Array) -> Array:
+        """The value [], or 0 while the command is to stand."""
+        return value if self.command is None else self.xp.where(self.is_moving, value, 0.0)
+
+    @property
+    def times(self) -> FootTimes:
+        """Those of the feet, which the task carries for the terms that say that they remember them."""
+        assert self.foot_times is not None  # noqa: S101 - a term that does not say so
+        return self.foot_times
 
     def array(self, values: Sequence[float] | np.ndarray) -> Array:
         """[n] float32."""
@@ -72,7 +95,7 @@ class ModelIndex:
     def sensors(self, names: list[str] | None) -> np.ndarray:
         """Places in `sensordata`: of the named sensors in their order, or of all of the model's own."""
         model = self.model
-        own = (number for number in range(model.nsensor) if not is_ours(model.sensor(number).name))
+        own = (number for number in range(model.nsensor) if not is_added(model.sensor(number).name))
         chosen = list(own if names is None else (model.sensor(name).id for name in names))
         return np.concatenate(
             [sensor.adr[0] + np.arange(sensor.dim[0]) for sensor in map(model.sensor, chosen)]
@@ -80,7 +103,32 @@ class ModelIndex:
 
     def contacts(self, geoms: list[str], against: str | None) -> np.ndarray:
         """Places in `sensordata` of the numbers of contacts of each geom."""
-        return self.sensors([sensor_name(geom, against) for geom in geoms])
+        return self.sensors([ContactCount(geom, against).sensor for geom in geoms])
+
+    def contacts_by_body(self, patterns: Sequence[str]) -> list[np.ndarray]:
+        """Of each body that can touch something, the places of the numbers of contacts of its geoms."""
+        by_body = dict[str, list[int]]()
+        for geom in touchable(self.model)[0]:
+            by_body.setdefault(self.model.body(self.model.geom_bodyid[geom]).name, []).append(geom)
+        return [self._counts(by_body[name]) for name in matching(patterns, by_body)]
+
+    def _counts(self, geoms: Sequence[int]) -> np.ndarray:
+        return self.contacts([name for geom in geoms if (name := self.model.geom(geom).name)], None)
+
+    def foot_contacts(self, step: Step) -> Array:
+        """1 where a foot touches something, otherwise 0, [feet]."""
+        counts = step.after.derived["sensordata"]
+        touching = step.xp.stack([step.xp.max(counts[self._counts(foot.geoms)]) for foot in self.feet])
+        return step.xp.where(touching > 0, 1.0, 0.0)
+
+    def foot_forces(self, step: Step) -> Array:
+        """The sum of the normal forces on each foot in the last physics step, [feet] in N."""
+        forces, sums = step.after.derived["sensordata"], list[Array]()
+        for foot in self.feet:
+            bodies = dict.fromkeys(int(body) for body in self.model.geom_bodyid[list(foot.geoms)])
+            names = [ContactForce(self.model.body(body).name).sensor for body in bodies]
+            sums.append(step.xp.sum(forces[self.sensors(names)]))
+        return step.xp.stack(sums)
 
     def free_joint(self, body: int) -> int | None:
         """The first index of the body's free joint in qpos; None if it has none."""
@@ -132,6 +180,33 @@ class ModelIndex:
         names = [self.model.joint(joint).name for joint in self.joints(None)]
         chosen = by_name(values, names)
         return np.array([chosen.get(name, 0.0) for name in names])
+
+    def inverse_squares(self, widths: Mapping[str, float]) -> np.ndarray:
+        """Of each hinge and slide: 1 / (n σ²), with n the number of those that a pattern gives σ; else 0."""
+        chosen = self.per_joint(widths)
+        has = chosen > 0
+        return np.where(has, 1.0 / (np.where(has, chosen, 1.0) ** 2 * max(1, has.sum())), 0.0)
+
+    @property
+    def pose_height(self) -> float:
+        """The root's in the pose, in m, above the world's origin."""
+        start = self.free_joint(self.root)
+        assert start is not None  # noqa: S101 - terms that need a free root
+        return float(self.pose[start + 2])
+
+    def angular_momentum(self, step: Step) -> Array:
+        """Of the root and all that it carries, about their centre of mass, [3] in kg m²/s.
+
+        The root has a free joint, so that `cinert` and `cvel` are about that centre.
+        """
+        number, on = self.model.nbody, self.model.body_rootid
+        bodies = np.flatnonzero(on[np.arange(number)] == self.root)
+        inertia, velocity = step.after.derived["cinert"][bodies], step.after.derived["cvel"][bodies]
+        xx, yy, zz, xy, xz, yz = (inertia[:, i] for i in range(6))
+        turn, moment = velocity[:, :3], inertia[:, 6:9]
+        x, y, z = turn[:, 0], turn[:, 1], turn[:, 2]
+        rows = [xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z]
+        return step.xp.sum(step.xp.stack(rows, 1) + step.xp.cross(moment, velocity[:, 3:]), 0)
 
     @property
     def root_velocities(self) -> slice:

@@ -14,7 +14,8 @@ from core.environments.terms.actions import AnyAction, ControlAction, JointPosit
 from core.environments.terms.commands import GaitClock, Push, VelocityCommand
 from core.environments.terms.inventory import Actuator, Inventory, ModelParts
 from core.environments.terms.observations import ObservationTerm, Qpos, Qvel, Sensors
-from core.environments.terms.term import Name
+from core.environments.terms.readings import Reading
+from core.environments.terms.term import Memory, Name, Term
 from core.environments.terms.terminations import AnyTermination
 from core.environments.terms.vocabulary import AnyObservation, AnyReward
 
@@ -112,11 +113,19 @@ class TaskOptions(Strict):
         return self
 
     @property
-    def contacts(self) -> list[tuple[str, str | None]]:
-        """Geoms whose contacts some term counts, each with the geom it must touch; None for any."""
-        terms = [*(self.reward or []), *(self.termination or [])]
-        asked = [(geom, term.against) for term in terms if term.kind == "contact" for geom in term.geoms]
-        return list(dict.fromkeys(asked))
+    def terms(self) -> list[Term]:
+        """All that it gives."""
+        return [*(self.reward or ()), *(self.observation or ()), *(self.termination or ())]
+
+    def readings(self, model: Inventory) -> list[Reading]:
+        """What the terms read of contacts. model: of the body."""
+        parts = parts_of(self, model)
+        return list(dict.fromkeys(reading for term in self.terms for reading in term.readings(parts)))
+
+    @property
+    def memory(self) -> frozenset[Memory]:
+        """What is carried from step to step."""
+        return frozenset[Memory]().union(*(term.remembers for term in self.terms))
 
     @property
     def sensors(self) -> list[str] | None:

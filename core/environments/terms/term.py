@@ -6,6 +6,7 @@ trains, NumPy beside MuJoCo's own data. Which fields of the physics it reads is 
 (`binding.bound`).
 """
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
@@ -13,6 +14,9 @@ from pydantic import AfterValidator, Field
 from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
 from core.environments.options import Range, Weight
+from core.environments.patterns import PATTERNS, Patterns
+from core.environments.terms.inventory import ModelParts
+from core.environments.terms.readings import ContactCount, Reading
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -34,16 +38,29 @@ Direction = Annotated[Vector, AfterValidator(_not_zero)]
 
 
 # `free_root`: a free joint of the root. The others are fields of `TaskOptions`.
-Need = Literal["command", "feet", "free_root", "gait"]
+# `foot_colliders`: each foot has a geom that can touch something.
+Need = Literal["command", "feet", "foot_colliders", "free_root", "gait"]
+# What is carried from step to step for the terms that read it: `Step.foot_times`, `Step.earlier_action`.
+Memory = Literal["earlier_action", "foot_times"]
 
 
 class Term(Strict):
     """A part of an observation, of a reward, or of what ends an episode.
 
-    needs: what else the task must have.
+    needs: what else the task must have. remembers: what it reads of earlier steps.
     """
 
     needs: ClassVar[frozenset[Need]] = frozenset()
+    remembers: ClassVar[frozenset[Memory]] = frozenset()
+
+    @property
+    def needed(self) -> frozenset[Need]:
+        """What it needs as it is configured."""
+        return self.needs
+
+    def readings(self, parts: ModelParts) -> Iterable[Reading]:
+        """What it reads of contacts. The parts that it names are in the model."""
+        return ()
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         """The term's value after a step: [], or [n] of an observation."""
@@ -98,10 +115,26 @@ class OfContact(Strict):
         default=None, description="Count only contacts with this geom; null: with any."
     )
 
+    def readings(self, parts: ModelParts) -> Iterable[Reading]:
+        return [ContactCount(geom, self.against) for geom in self.geoms]
+
     def num_touching(self, step: "Step", model: "ModelIndex") -> Array:
         """How many of the geoms touch something, []."""
         found = step.after.derived["sensordata"][model.contacts(self.geoms, self.against)]
         return step.xp.sum(step.xp.where(found > 0, 1.0, 0.0))
+
+
+class OfBodyContact(Strict):
+    bodies: Patterns = Field(description=f"The bodies; what is welded to one is not part of it. {PATTERNS}")
+
+    def readings(self, parts: ModelParts) -> Iterable[Reading]:
+        return map(ContactCount, parts.colliders_of(self.bodies))
+
+    def num_touching(self, step: "Step", model: "ModelIndex") -> Array:
+        """How many of the bodies touch something, []."""
+        found = step.after.derived["sensordata"]
+        counts = [step.xp.max(found[places]) for places in model.contacts_by_body(self.bodies)]
+        return step.xp.sum(step.xp.where(step.xp.stack(counts) > 0, 1.0, 0.0))
 
 
 def unit_vector(vector: tuple[float, float, float], step: "Step") -> Array:

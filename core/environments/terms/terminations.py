@@ -1,11 +1,12 @@
 """The terms that end an episode."""
 
+from math import cos, pi
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from core.environments.numbers import Ends, NotSimulated, numbers
-from core.environments.terms.term import Array, OfAxis, OfContact, OfHeight, Term
+from core.environments.terms.term import Array, OfAxis, OfBodyContact, OfContact, OfHeight, Term
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -66,4 +67,46 @@ class Touching(OfContact, TerminationTerm):
         return Ends(numbers("sensordata", model.contacts(self.geoms, self.against).tolist()), None, 0.5)
 
 
-AnyTermination = Annotated[OutsideHeightRange | NotUpright | Touching, Field(discriminator="kind")]
+class IllegalContact(OfBodyContact, TerminationTerm):
+    """One of the bodies touches something."""
+
+    kind: Literal["illegal_contact"] = "illegal_contact"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.where(self.num_touching(step, model) > 0, 1.0, 0.0)
+
+    def ends(self, model: "ModelIndex") -> Ends:
+        places = [place for each in model.contacts_by_body(self.bodies) for place in each]
+        return Ends(numbers("sensordata", places), None, 0.5)
+
+
+class BadOrientation(TerminationTerm):
+    """The root's z leans further from the vertical than the angle, in rad."""
+
+    needs = frozenset({"free_root"})
+
+    kind: Literal["bad_orientation"] = "bad_orientation"
+    limit_angle: float = Field(default=1.2, gt=0, lt=pi, description="In rad.")
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.where(-model.projected_gravity(step)[2] < cos(self.limit_angle), 1.0, 0.0)
+
+    def ends(self, model: "ModelIndex") -> Ends:
+        return Ends(numbers("xmat", [9 * model.root + 8]), cos(self.limit_angle), None)
+
+
+class OutOfBounds(TerminationTerm):
+    """The root is further from where the episode began, measured along the ground, than the distance."""
+
+    kind: Literal["out_of_bounds"] = "out_of_bounds"
+    distance: float = Field(gt=0, le=1e6, description="In m.")
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        away = (model.position(step.after, model.root) - step.start)[:2]
+        return step.xp.where(step.xp.sum(away**2) > self.distance**2, 1.0, 0.0)
+
+
+AnyTermination = Annotated[
+    OutsideHeightRange | NotUpright | Touching | IllegalContact | BadOrientation | OutOfBounds,
+    Field(discriminator="kind"),
+]
