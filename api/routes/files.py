@@ -62,9 +62,10 @@ class PolicyQuery(QueryParameters):
         description="`best`: the policy whose evaluation had the highest return. In a form for programs "
         "elsewhere it is there when the training has ended.",
     )
-    format: Literal["numpy", "onnx"] | None = Field(
+    format: Literal["numpy", "onnx", "robot"] | None = Field(
         None,
-        description="For programs elsewhere: `numpy` needs NumPy alone, `onnx` any ONNX runtime. Without it, "
+        description="For programs elsewhere: `numpy` needs NumPy alone, `onnx` any ONNX runtime, and so does "
+        "`robot`, which goes from what a robot measures to its joints' targets. Without it, "
         "the algorithm's own file, which `client.load_policy` reads, and for PPO and SAC Brax.",
     )
     seed: OfSeed = None
@@ -171,7 +172,7 @@ def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
 
 
 # By the format that a client asks for.
-_ENDINGS = {"numpy": "npz", "onnx": "onnx"}
+_ENDINGS = {"numpy": "npz", "onnx": "onnx", "robot": "robot.onnx"}
 # The name and the role of a policy's own file.
 _POLICIES: dict[str, tuple[str, ArtifactRole]] = {
     "last": ("policy", "policy"),
@@ -198,6 +199,14 @@ def _policy(job: Job, asked: PolicyQuery) -> Artifact:
     if found is not None and own is not None and found.step != own.step:
         found = None  # It belongs to an earlier attempt, whose best policy was another.
     if found is None and own is not None and job.status.is_final:
+        if form == "robot":
+            detail = (
+                f"Job {job.id} has a {stem} and no {name}, which tasks of terms have whose `action` is "
+                "`joint_position`. Take the format `onnx`."
+            )
+            raise ArtifactNotFound(
+                detail, job=job.id, job_status=job.status, artifacts=[own.name], reason=job.reason
+            )
         detail = (
             f"Job {job.id} has a {stem} and no {name}: either its events say why, or a version that wrote "
             "none has trained it. Without `format` you get the policy's own file."

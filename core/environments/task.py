@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from core.environments.deployment import Deployment, deployment
 from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
 from core.environments.numbers import Noise, NotSimulated
@@ -21,7 +22,7 @@ from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
-from core.environments.terms.task import TaskOptions, metric_names, observed
+from core.environments.terms.task import TaskOptions, metric_names, observed, parts_of
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
 from core.environments.terms.vocabulary import AnyReward
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
@@ -75,7 +76,7 @@ class TaskEnv(MujocoEnv):
         super().__init__(model, engine, num_substeps=num_substeps, observation_size=0, tracked_body=root)
         self.initial_qpos = jnp.asarray(start, jnp.float32)
         self.initial_qvel, self.initial_act = _motion(model, options)
-        self._spec, self._parts = spec, named
+        self._spec, self._parts, self._inventory = spec, named, parts
         self._observation, self._termination = seen, ends
         self._is_random = bool(options.command or options.gait or options.events) or any(
             term.noise for term in seen
@@ -178,6 +179,18 @@ class TaskEnv(MujocoEnv):
             ),
             ends=[term.ends(self._parts) for term in self._termination],
             control_range=self._ends_of_control(),
+        )
+
+    def deployment(self) -> Deployment:
+        """The task as a robot runs it. Raises NotDeployed."""
+        options = self._options
+        return deployment(
+            self._observation,
+            self._parts,
+            parts_of(options, self._inventory),
+            self._targets,
+            command=options.command,
+            gait=options.gait,
         )
 
     def _ends_of_control(self) -> tuple[np.ndarray, np.ndarray]:

@@ -44,9 +44,10 @@ def export(  # noqa: PLR0913 # A command line's options.
     context: typer.Context,
     job: JobName,
     format: Annotated[
-        Literal["onnx", "numpy", "zip"],
+        Literal["onnx", "numpy", "robot", "zip"],
         typer.Option(
-            help="onnx, numpy: the policy for any ONNX runtime, or for NumPy alone (docs/export.md). "
+            help="onnx, numpy: the policy for any ONNX runtime, or for NumPy alone (docs/export.md). robot: "
+            "ONNX from what a robot measures to its joints' targets. "
             "zip: all that is needed to run the job again elsewhere (docs/sharing.md)."
         ),
     ] = "onnx",

@@ -11,8 +11,18 @@ from tests.api.problems import problem
 
 ID = "019aa3c2f0b1-5be0c1d2e3"
 ADDRESS = f"/jobs/{ID}/policy"
-FORMS = {None: ("policy", b"own"), "numpy": ("policy.npz", b"arrays"), "onnx": ("policy.onnx", b"graph")}
-BEST = {"policy-best": b"best own", "policy-best.npz": b"best arrays", "policy-best.onnx": b"best graph"}
+FORMS = {
+    None: ("policy", b"own"),
+    "numpy": ("policy.npz", b"arrays"),
+    "onnx": ("policy.onnx", b"graph"),
+    "robot": ("policy.robot.onnx", b"whole graph"),
+}
+BEST = {
+    "policy-best": b"best own",
+    "policy-best.npz": b"best arrays",
+    "policy-best.onnx": b"best graph",
+    "policy-best.robot.onnx": b"best whole graph",
+}
 TABLE: dict[str, Any] = {"environment": {"id": "brittle_star"}, "algorithm": {"kind": "q_learning"}}
 
 
@@ -115,7 +125,7 @@ def test_a_policy_that_never_comes_says_why(stack: Stack, form: str | None) -> N
     assert "Retry-After" not in answer.headers
 
 
-@pytest.mark.parametrize("form", ["numpy", "onnx"])
+@pytest.mark.parametrize("form", ["numpy", "onnx", "robot"])
 def test_a_policy_without_exports_offers_its_own_file(stack: Stack, form: str) -> None:
     attempt = Attempt(stack, job(ID))
     keep(attempt, None)
@@ -157,7 +167,7 @@ def test_an_unknown_format_is_refused_with_those_that_there_are(stack: Stack, fo
     stack.store.add(job(ID))
     document = problem(asked(stack, form), 422, "invalid-request")
     assert [place["pointer"] for place in document["errors"]] == ["/format"]
-    assert "'numpy' or 'onnx'" in document["detail"]
+    assert "'numpy', 'onnx' or 'robot'" in document["detail"]
 
 
 def test_of_an_unknown_job_there_is_no_policy(stack: Stack) -> None:

@@ -1,4 +1,5 @@
-"""The files of a policy for programs elsewhere: `policy.npz`, `policy.onnx` and `simulation.json`.
+"""The files of a policy for programs elsewhere: `policy.npz`, `policy.onnx`, `policy.robot.onnx` and
+`simulation.json`.
 
 With the last, the page steps the body itself (docs/push.md). What is done at checkpoints besides training is
 kept to a share of the training's time.
@@ -15,9 +16,11 @@ from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.export.contract import PolicyOrigin, contract
 from core.algorithms.export.network import NotExportable, PolicyNetwork, network_of
 from core.algorithms.export.numpy_file import numpy_file
+from core.environments.deployment import Deployment, NotDeployed
 from core.environments.environment import Environment, Wrapped
 from core.environments.mujoco_env import MujocoEnv
 from core.environments.numbers import NotSimulated
+from core.environments.task import TaskEnv
 from core.jobs.spec import TrainSpec
 from worker.protocol import Noted
 from worker.training.built_environment import BuiltEnvironment
@@ -25,7 +28,7 @@ from worker.training.event_writer import EventWriter
 
 SIMULATION = "simulation.json"
 _Writer = Callable[[PolicyNetwork, Mapping[str, Any]], bytes]
-_NUMPY, _NUMPY_TYPE = "policy.npz", "application/x-npz"
+_NUMPY, _NUMPY_TYPE, _ONNX_TYPE = "policy.npz", "application/x-npz", "application/octet-stream"
 _LAST, _BEST = "policy", "policy-best"
 
 
@@ -81,14 +84,19 @@ def keep_simulation(environment: Environment, events: EventWriter) -> None:
 
 def _document(environment: Environment) -> dict[str, Any]:
     """The simulation of the body as its model says; a randomised body differs from it in each episode."""
-    while isinstance(environment, Wrapped):
-        environment = environment.environment
+    environment = _unwrapped(environment)
     if not isinstance(environment, MujocoEnv):
         raise NotSimulated("its environment is that of another package")
     try:
         return environment.simulation().document()
     except (ValueError, RuntimeError) as error:  # Models of users may have anything in them.
         raise NotSimulated(f"its model cannot be written as XML: {error}") from error
+
+
+def _unwrapped(environment: Environment) -> Environment:
+    while isinstance(environment, Wrapped):
+        environment = environment.environment
+    return environment
 
 
 @dataclass
@@ -120,30 +128,48 @@ class ExportWriter:
         self._budget.spent(began)
 
     def keep_last(self, policy: PolicyInTraining, content: bytes) -> None:
-        """Keep both files. One that cannot be written is a note: the job has its policy."""
+        """Keep the files. One that cannot be written is a note: the job has its policy."""
         if ALGORITHMS[self.algorithm].no_export is None:
-            self._keep_both(_LAST, policy, content, policy.step())
+            self._keep_files(_LAST, policy, content, policy.step())
             self._keep_simulation(policy)
 
     def keep_best(self, policy: PolicyInTraining, content: bytes, step: int) -> None:
-        """Keep both files of the best evaluation's policy. content, step: as they were then."""
+        """Keep the files of the best evaluation's policy. content, step: as they were then."""
         if ALGORITHMS[self.algorithm].no_export is None:
-            self._keep_both(_BEST, policy, content, step)
+            self._keep_files(_BEST, policy, content, step)
 
-    def _keep_both(self, stem: str, policy: PolicyInTraining, content: bytes, step: int) -> None:
-        # Its import takes 0.3 s, which no start waits for.
+    def _keep_files(self, stem: str, policy: PolicyInTraining, content: bytes, step: int) -> None:
+        # Their import takes 0.3 s, which no start waits for.
         from core.algorithms.export.onnx_file import onnx_file
+        from core.algorithms.export.robot_file import policy_metadata, robot_file
 
-        writers: Mapping[str, tuple[_Writer, str]] = {
+        robot = self._robot()
+        metadata = {} if robot is None else policy_metadata(robot)
+        writers: dict[str, tuple[_Writer, str]] = {
             f"{stem}.npz": (numpy_file, _NUMPY_TYPE),
-            f"{stem}.onnx": (onnx_file, "application/octet-stream"),
+            f"{stem}.onnx": (lambda network, about: onnx_file(network, about, metadata), _ONNX_TYPE),
         }
+        if robot is not None:
+            writers[f"{stem}.robot.onnx"] = (
+                lambda network, about: robot_file(network, robot, about),
+                _ONNX_TYPE,
+            )
         for name, (write, media_type) in writers.items():
             try:
                 file = self._written(content, step, write)
                 policy.events.keep(name, file, "export", media_type, step=step)
             except NotExportable as error:
                 policy.events.send(Noted(text=f"There is no {name}: {error}."))
+
+    def _robot(self) -> Deployment | None:
+        """The task as a robot runs it; None where it has no such form."""
+        environment = _unwrapped(self.built.environment)
+        if not isinstance(environment, TaskEnv):
+            return None
+        try:
+            return environment.deployment()
+        except NotDeployed:
+            return None
 
     def _keep_simulation(self, policy: PolicyInTraining) -> None:
         if not self._has_simulation:
@@ -152,7 +178,7 @@ class ExportWriter:
 
     def _written(self, policy: bytes, step: int, write: _Writer) -> bytes:
         """policy: the algorithm's own file. Raises NotExportable."""
-        network, info = network_of(policy), self.built.info
+        network, info, robot = network_of(policy), self.built.info, self._robot()
         origin = PolicyOrigin(
             algorithm=self.algorithm,
             environment=info.id,
@@ -161,5 +187,6 @@ class ExportWriter:
             trained_steps=step,
             observation_parts=[asdict(part) for part in info.spaces.observation],
             action_parts=[asdict(part) for part in info.spaces.action],
+            robot=None if robot is None else robot.document(),
         )
         return write(network, contract(network, origin))

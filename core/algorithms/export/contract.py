@@ -18,7 +18,8 @@ class PolicyOrigin:
     """Where a policy comes from.
 
     options: all of the environment's. step_s: seconds of one environment step. trained_steps: environment
-    steps that the policy has learnt from. The parts: none where the environment does not name them.
+    steps that the policy has learnt from. The parts: none where the environment does not name them. robot:
+    what a robot needs (`core.environments.deployment`), of a task whose actions are targets of joints.
     """
 
     algorithm: str
@@ -28,12 +29,15 @@ class PolicyOrigin:
     trained_steps: int
     observation_parts: Parts = ()
     action_parts: Parts = ()
+    robot: Mapping[str, Any] | None = None
 
 
 def contract(network: PolicyNetwork, origin: PolicyOrigin) -> dict[str, Any]:
     """The contract as a JSON document (docs/export.md). Where no parts have names, the whole is one."""
     observation, action = network.observation_size, network.action_size
+    robot = {} if origin.robot is None else {"robot": dict(origin.robot)}
     return {
+        **robot,
         "format": FORMAT,
         "version": VERSION,
         "algorithm": origin.algorithm,

@@ -4,7 +4,7 @@ Written with ONNX's own library; decision 15 says why no exporter traces it.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,17 +19,23 @@ from core.algorithms.export.network import NotExportable, PolicyNetwork
 _OPSET, _IR_VERSION = 15, 8
 # A file of Protocol Buffers holds 2 GiB.
 _MOST_BYTES = 2**31 - 2**20
+NO_METADATA: Mapping[str, str] = {}
 
 
-class _Graph:
+class Graph:
     """Nodes and constants, gathered in the order of evaluation; values are known by their names."""
 
     def __init__(self) -> None:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
-    def constant(self, name: str, value: NDArray[np.float32] | float) -> str:
+    def constant(self, name: str, value: NDArray[np.float32] | Sequence[float] | float) -> str:
         self.constants.append(numpy_helper.from_array(np.asarray(value, np.float32), name))
+        return name
+
+    def places(self, name: str, value: Sequence[int]) -> str:
+        """Indices for `Gather`."""
+        self.constants.append(numpy_helper.from_array(np.asarray(value, np.int64), name))
         return name
 
     def add(self, operation: str, *inputs: str, output: str = "", **attributes: Any) -> str:
@@ -39,16 +45,26 @@ class _Graph:
         return name
 
 
-def onnx_file(network: PolicyNetwork, about: Mapping[str, Any]) -> bytes:
+def onnx_file(
+    network: PolicyNetwork, about: Mapping[str, Any], metadata: Mapping[str, str] = NO_METADATA
+) -> bytes:
     """`observation` [batch, observation_size] ↦ `action` [batch, action_size], both float32.
 
-    The contract is the metadata `about`, as JSON text. Equal networks give equal bytes.
+    The contract is the metadata `about`, as JSON text; metadata: more. Equal networks give equal bytes.
     Raises NotExportable where the network does not fit into a file.
     """
+    graph = Graph()
+    add_policy(graph, network, "observation")
+    inputs = [array("observation", network.observation_size)]
+    metadata = {**metadata, "about": as_text(about)}
+    return model_file(graph, inputs, [array("action", network.action_size)], metadata)
+
+
+def add_policy(graph: Graph, network: PolicyNetwork, observation: str) -> None:
+    """The value `action`, by the network. Raises NotExportable where the network does not fit into a file."""
     if network.size_bytes > _MOST_BYTES:
         raise NotExportable(f"its network has {network.size_bytes:,} bytes, and an ONNX file holds 2 GiB")
-    graph = _Graph()
-    values = _normalized(graph, network)
+    values = _normalized(graph, network, observation)
     for number, layer in enumerate(network.layers[:-1]):
         values = ACTIVATIONS[network.activation](
             graph, _dense(graph, values, number, layer.kernel, layer.bias)
@@ -56,30 +72,30 @@ def onnx_file(network: PolicyNetwork, about: Mapping[str, Any]) -> bytes:
     last, half = network.layers[-1], network.action_size  # The other half is the noise's scale.
     location = _dense(graph, values, len(network.layers) - 1, last.kernel[:, :half], last.bias[:half])
     graph.add("Tanh", location, output="action")
-    made = helper.make_graph(
-        graph.nodes,
-        "policy",
-        [_array("observation", network.observation_size)],
-        [_array("action", network.action_size)],
-        graph.constants,
-    )
+
+
+def model_file(
+    graph: Graph, inputs: Sequence[Any], outputs: Sequence[Any], metadata: Mapping[str, str]
+) -> bytes:
+    """A checked file of the graph. inputs, outputs: made by `array`."""
     model = helper.make_model(
-        made,
+        helper.make_graph(graph.nodes, "policy", inputs, outputs, graph.constants),
         producer_name="gaitway",
         opset_imports=[helper.make_opsetid("", _OPSET)],
         ir_version=_IR_VERSION,
     )
-    helper.set_model_props(model, {"about": as_text(about)})
+    helper.set_model_props(model, dict(metadata))
     onnx.checker.check_model(model, full_check=True)
     return model.SerializeToString(deterministic=True)
 
 
-def _array(name: str, size: int) -> Any:
+def array(name: str, size: int) -> Any:
+    """An input or output, float32 [batch, size]."""
     return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
 
 
-def _normalized(graph: _Graph, network: PolicyNetwork) -> str:
-    centred = graph.add("Sub", "observation", graph.constant("observation_mean", network.mean))
+def _normalized(graph: Graph, network: PolicyNetwork, observation: str) -> str:
+    centred = graph.add("Sub", observation, graph.constant("observation_mean", network.mean))
     deviations = graph.add("Div", centred, graph.constant("observation_std", network.std))
     if network.max_abs is None:
         return deviations
@@ -88,22 +104,22 @@ def _normalized(graph: _Graph, network: PolicyNetwork) -> str:
 
 
 def _dense(
-    graph: _Graph, values: str, number: int, kernel: NDArray[np.float32], bias: NDArray[np.float32]
+    graph: Graph, values: str, number: int, kernel: NDArray[np.float32], bias: NDArray[np.float32]
 ) -> str:
     weights = (graph.constant(f"kernel_{number}", kernel), graph.constant(f"bias_{number}", bias))
     return graph.add("Gemm", values, *weights)
 
 
-def _one(operation: str, **attributes: Any) -> Callable[[_Graph, str], str]:
+def _one(operation: str, **attributes: Any) -> Callable[[Graph, str], str]:
     """An activation that is a single operation."""
     return lambda graph, x: graph.add(operation, x, **attributes)
 
 
-def _swish(graph: _Graph, x: str) -> str:
+def _swish(graph: Graph, x: str) -> str:
     return graph.add("Mul", x, graph.add("Sigmoid", x))
 
 
-def _gelu(graph: _Graph, x: str) -> str:
+def _gelu(graph: Graph, x: str) -> str:
     """x/2 · (1 + tanh(√(2/π) (x + 0.044715 x³))), as `jax.nn.gelu` has it unless it is told otherwise."""
 
     def number(value: float) -> str:
@@ -117,7 +133,7 @@ def _gelu(graph: _Graph, x: str) -> str:
 
 
 # By Brax's names. The attributes are the values that `jax.nn` has.
-ACTIVATIONS: Mapping[str, Callable[[_Graph, str], str]] = {
+ACTIVATIONS: Mapping[str, Callable[[Graph, str], str]] = {
     "swish": _swish,
     "relu": _one("Relu"),
     "tanh": _one("Tanh"),

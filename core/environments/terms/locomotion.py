@@ -14,6 +14,7 @@ from core.environments.info import Slice, named
 from core.environments.patterns import PATTERNS, Pattern, Patterns, PerName
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.observations import ObservationTerm
+from core.environments.terms.sensed import CLOCK, Sensed
 from core.environments.terms.term import Array, CostTerm, RewardTerm
 
 if TYPE_CHECKING:
@@ -88,6 +89,15 @@ class _OfJoints(ObservationTerm):
         unit = units[0] if kinds == {"hinge"} else units[1] if kinds == {"slide"} else ", ".join(units)
         yield named(name, (joint.name for joint in joints), unit)
 
+    def _sensed(
+        self, name: str, model: "ModelIndex", parts: ModelParts, units: tuple[str, str], less: Iterable[float]
+    ) -> Sensed:
+        """All joints are measured, of which the term has some."""
+        [whole] = type(self)()._named(name, parts, units)
+        everywhere = model.joints(None).tolist()
+        places = tuple(everywhere.index(joint) for joint in model.joints(self.joints).tolist())
+        return Sensed(name, whole.components, whole.unit, places, tuple(less))
+
 
 class JointPositions(_OfJoints):
     """q − q*: positions of joints less those of the pose, in rad or m."""
@@ -96,6 +106,10 @@ class JointPositions(_OfJoints):
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
         return self._named("joint_positions", parts, ("rad", "m"))
+
+    def sensed(self, model: "ModelIndex", parts: ModelParts) -> Sensed:
+        pose = model.pose[model.joint_positions(self.joints)].tolist()
+        return self._sensed("joint_positions", model, parts, ("rad", "m"), pose)
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         places = model.joint_positions(self.joints)
@@ -109,6 +123,9 @@ class JointVelocities(_OfJoints):
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
         return self._named("joint_velocities", parts, ("rad/s", "m/s"))
+
+    def sensed(self, model: "ModelIndex", parts: ModelParts) -> Sensed:
+        return self._sensed("joint_velocities", model, parts, ("rad/s", "m/s"), ())
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return step.after.qvel[model.joint_velocities(self.joints)]
@@ -145,6 +162,9 @@ class GaitPhase(ObservationTerm):
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
         for part in ("sin", "cos"):
             yield named("gait_phase", (f"{part} {foot}" for foot in range(len(parts.feet))), "1", -1.0, 1.0)
+
+    def sensed(self, model: "ModelIndex", parts: ModelParts) -> Sensed:
+        return Sensed(CLOCK, ("share of a round",), "1")
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return step.xp.concatenate([step.xp.sin(step.phases), step.xp.cos(step.phases)])

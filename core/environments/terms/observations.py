@@ -11,6 +11,7 @@ from core.environments.bodies import CINERT, CVEL, Body, JointType
 from core.environments.info import Slice, named
 from core.environments.numbers import PREVIOUS_ACTION, NotSimulated, Numbers, numbers, rows
 from core.environments.terms.inventory import Inventory, ModelParts, Sensor
+from core.environments.terms.sensed import Sensed, as_measured
 from core.environments.terms.term import Array, Names, OfBodies, Term
 
 if TYPE_CHECKING:
@@ -68,6 +69,10 @@ class ObservationTerm(Term):
     def numbers(self, model: "ModelIndex") -> Numbers:
         """Where they are in MuJoCo's arrays. Raises NotSimulated where they are no part of them."""
         raise NotSimulated(f"it observes {getattr(self, 'kind', 'what only the training computes')}")
+
+    def sensed(self, model: "ModelIndex", parts: ModelParts) -> Sensed:
+        """What a robot measures for it, before noise, scale and clip."""
+        return as_measured(str(getattr(self, "kind", "")), self.slices(parts))
 
     def seen(self, step: "Step", model: "ModelIndex", uniform: Array | None = None) -> Array:
         """What a policy sees of it, [n]. uniform: [n] random numbers in [0, 1) for the noise; None: none."""

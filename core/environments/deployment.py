@@ -1,0 +1,162 @@
+"""A task as a robot runs it: what it measures, what its policy sees of that, and what its servos get."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from core.environments.terms.commands import GaitClock, VelocityCommand
+from core.environments.terms.inventory import ModelParts
+from core.environments.terms.observations import ObservationTerm
+from core.environments.terms.sensed import Sensed
+from core.environments.terms.step import ModelIndex
+
+
+class NotDeployed(Exception):
+    """The task has no form for robots. The sentence says why."""
+
+
+@dataclass(frozen=True)
+class SeenTerm:
+    """A term of the policy's observation: what is measured, times `scale`, within ± `clip`, [size]; and the
+    same of steps before, `history` of them in all, the oldest first."""
+
+    kind: str
+    size: int
+    scale: float
+    clip: float | None
+    history: int
+    sensed: Sensed
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A hinge or slide. default: its position in the pose. stiffness, damping, effort: of its servo, in
+    N m/rad, N m s/rad and N m; effort is None without a limit, and all are None where nothing drives it.
+    armature, friction_loss, joint_damping: of the joint without it, in kg m², N m and N m s/rad. These units
+    are those of a hinge; of a slide they are N, m and kg."""
+
+    name: str
+    default: float
+    stiffness: float | None
+    damping: float | None
+    effort: float | None
+    armature: float
+    friction_loss: float
+    joint_damping: float
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """joints: in the model's order. acting: the number of the joint that each component of an action moves.
+    offset, scale: [nu], a joint's target is offset + scale · action, in rad or m, and within the servo's
+    `bounds` where it has some.
+
+    qpos: where an episode begins, [nq]. physics_step_s, integrator: those of the training.
+    """
+
+    terms: Sequence[SeenTerm]
+    joints: Sequence[Joint]
+    acting: Sequence[int]
+    offset: Sequence[float]
+    scale: Sequence[float]
+    bounds: Sequence[tuple[float, float] | None]
+    command: VelocityCommand | None
+    gait: GaitClock | None
+    qpos: Sequence[float]
+    physics_step_s: float
+    integrator: str
+
+    def document(self) -> dict[str, Any]:
+        """The contract's part on robots, as JSON (docs/export.md)."""
+        return {
+            "joints": [asdict(joint) for joint in self.joints],
+            "action": {
+                "joints": [self.joints[number].name for number in self.acting],
+                "offset": list(self.offset),
+                "scale": list(self.scale),
+                "bounds": list(self.bounds),
+            },
+            "terms": [
+                {
+                    "kind": term.kind,
+                    "size": term.size,
+                    "scale": term.scale,
+                    "clip": term.clip,
+                    "history": term.history,
+                }
+                for term in self.terms
+            ],
+            "command": None if self.command is None else self.command.model_dump(mode="json"),
+            "gait": None if self.gait is None else self.gait.model_dump(mode="json"),
+            "qpos": list(self.qpos),
+            "physics_step_s": self.physics_step_s,
+            "integrator": self.integrator,
+        }
+
+
+def deployment(
+    terms: Sequence[ObservationTerm],
+    index: ModelIndex,
+    parts: ModelParts,
+    targets: tuple[np.ndarray, np.ndarray] | None,
+    *,
+    command: VelocityCommand | None,
+    gait: GaitClock | None,
+) -> Deployment:
+    """The task of these terms. targets: offset and scale [nu] of servos; None: actions are no targets.
+
+    Raises NotDeployed.
+    """
+    if targets is None:
+        raise NotDeployed("its actions are no targets of joints, as those of `joint_position` are")
+    model, joints = index.model, index.joints(None).tolist()
+    driven = model.actuator_trnid[:, 0].tolist()
+    offset, scale = (values.astype(float).tolist() for values in targets)
+    return Deployment(
+        terms=[_seen(term, index, parts) for term in terms],
+        joints=[_joint(model, joint, driven, index.pose) for joint in joints],
+        acting=[joints.index(joint) for joint in driven],
+        offset=offset,
+        scale=scale,
+        bounds=[_bounds(model, number) for number in range(model.nu)],
+        command=command,
+        gait=gait,
+        qpos=index.pose.tolist(),
+        physics_step_s=float(model.opt.timestep),
+        integrator=mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_").lower(),
+    )
+
+
+def _seen(term: ObservationTerm, index: ModelIndex, parts: ModelParts) -> SeenTerm:
+    return SeenTerm(
+        kind=str(getattr(term, "kind", "")),
+        size=sum(part.size for part in term.slices(parts)),
+        scale=term.scale,
+        clip=term.clip,
+        history=int(getattr(term, "history", 1)),
+        sensed=term.sensed(index, parts),
+    )
+
+
+def _bounds(model: mujoco.MjModel, servo: int) -> tuple[float, float] | None:
+    low, high = model.actuator_ctrlrange[servo].tolist()
+    return (low, high) if model.actuator_ctrllimited[servo] else None
+
+
+def _joint(model: mujoco.MjModel, number: int, driven: Sequence[int], pose: np.ndarray) -> Joint:
+    servo = driven.index(number) if number in driven else None
+    dof = int(model.jnt_dofadr[number])
+    limited = servo is not None and bool(model.actuator_forcelimited[servo])
+    return Joint(
+        name=model.joint(number).name,
+        default=float(pose[model.jnt_qposadr[number]]),
+        stiffness=None if servo is None else float(model.actuator_gainprm[servo, 0]),
+        damping=None if servo is None else -float(model.actuator_biasprm[servo, 2]),
+        effort=float(model.actuator_forcerange[servo, 1]) if limited else None,
+        armature=float(model.dof_armature[dof]),
+        friction_loss=float(model.dof_frictionloss[dof]),
+        joint_damping=float(np.ravel(model.dof_damping[dof])[0]),
+    )
