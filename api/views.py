@@ -210,6 +210,7 @@ def environment_details(info: EnvironmentInfo) -> EnvironmentDetails:
         **_environment_facts(info),
         observation=tuple(SliceView.model_validate(one) for one in info.spaces.observation),
         action=tuple(SliceView.model_validate(one) for one in info.spaces.action),
+        critic=tuple(SliceView.model_validate(one) for one in info.spaces.critic),
         defaults=_by_algorithm_and_device(lambda kind, device: _defaults(kind, info, device)),
         metrics={kind or "rollout": tuple(sorted(metrics_of(info.id, kind))) for kind in (*ALGORITHMS, None)},
     )

@@ -17,7 +17,7 @@ from core.algorithms.q_learning import tuned as q_learning_tuned
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.sac import spec as sac
 from core.algorithms.sac import tuned as sac_tuned
-from core.algorithms.spec import BaseSpec
+from core.algorithms.spec import BaseSpec, check_critic
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
 
@@ -135,7 +135,8 @@ def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnyS
     """
     values = tuned(spec.algorithm(), environment, device)
     settings = type(spec).model_validate({**values, **spec.model_dump(exclude_unset=True)})
-    if refusal := ALGORITHMS[spec.algorithm()].refusal(settings, environment, device):
+    refusal = check_critic(settings, environment)
+    if refusal := refusal or ALGORITHMS[spec.algorithm()].refusal(settings, environment, device):
         raise refusal
     return settings
 

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from core.documents import Strict
-from core.environments.info import EnvironmentInfo
+from core.environments.info import CRITIC_GROUP, EnvironmentInfo
 from core.errors import Problem, Rejected
 
 
@@ -20,6 +20,7 @@ class BaseSpec(Strict):
     arguments: names of the numbers that are arguments of the compiled programs, which another value does not
     change. why_no_seeds: why a job cannot train several seeds (`core.algorithms.seeds`), as the end of a
     sentence; None where it can.
+    reads_critic: whether its value function may see another observation than its policy.
     trains_in_parts: whether a run that ends and is resumed with a greater `num_timesteps` becomes the run
     that had the greater one from the beginning: nothing in it depends on its length.
     """
@@ -28,6 +29,7 @@ class BaseSpec(Strict):
     checkpoint_holds_envs: ClassVar[bool] = False
     arguments: ClassVar[tuple[str, ...]] = ()
     why_no_seeds: ClassVar[str | None] = "it trains one at a time"
+    reads_critic: ClassVar[bool] = False
     trains_in_parts: ClassVar[bool] = False
 
     @classmethod
@@ -81,6 +83,18 @@ def check_resumption(wanted: BaseSpec, made_with: BaseSpec) -> None:
             "The job cannot resume from that checkpoint. " + " ".join(problem.detail for problem in problems),
             problems,
         )
+
+
+def check_critic(settings: BaseSpec, environment: EnvironmentInfo) -> Rejected | None:
+    """The refusal of an observation for the value function alone, under an algorithm that learns from one."""
+    if settings.reads_critic or CRITIC_GROUP not in environment.observations:
+        return None
+    detail = (
+        f"{settings.algorithm()} learns from one observation, so nothing would see the critic's: leave "
+        "`critic` out, or take ppo."
+    )
+    places = ("/environment/options/critic", "/algorithm/kind")
+    return Rejected(detail, [Problem(place, detail) for place in places])
 
 
 def check_curriculum(reset_pool_size: int, environment: EnvironmentInfo) -> Rejected | None:

@@ -32,16 +32,28 @@ class Slice:
     components: tuple[str, ...] = ()
 
 
+# The names of an environment's observations: of what its policy sees, and of what only a value function sees.
+POLICY_GROUP, CRITIC_GROUP = "state", "privileged_state"
+
+
 @dataclass(frozen=True)
 class Spaces:
-    """All slices of an environment's observation and of its action, in their order."""
+    """All slices of an environment's observation and of its action, in their order.
+
+    critic: of the observation that only a value function sees; empty where there is none.
+    """
 
     observation: tuple[Slice, ...] = ()
     action: tuple[Slice, ...] = ()
+    critic: tuple[Slice, ...] = ()
 
     @property
     def observation_size(self) -> int:
         return sum(one.size for one in self.observation)
+
+    def group(self, name: str) -> tuple[Slice, ...]:
+        """The slices of the observation of this name."""
+        return self.critic if name == CRITIC_GROUP else self.observation
 
 
 def named(
@@ -107,6 +119,7 @@ class EnvironmentInfo:
     they depend on the model that the options name. takes_model: whether they name one; the factory gets its
     file as `model`.
     cameras: the model's cameras, in their order; `track` is always available, too.
+    observations: the names of its observations.
     info: the entries of `State.info` besides the observation, for code that reads states from it.
     finite: the finite views that it offers.
     arguments: further arguments of the factory. on_a_cpu, on_a_gpu: the engine that `auto` takes there, by
@@ -131,6 +144,7 @@ class EnvironmentInfo:
     episode_length: int
     tracked_body: str
     cameras: tuple[str, ...] = ()
+    observations: tuple[str, ...] = (POLICY_GROUP,)
     options: type[Strict] = NoOptions
     arguments: Mapping[str, Any] = field(default_factory=dict[str, Any])
     takes_model: bool = False

@@ -10,7 +10,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments.environment import CONTINUOUS, Discretization, Observation, State
+from core.environments.environment import (
+    CONTINUOUS,
+    Discretization,
+    Observation,
+    ObservationSize,
+    State,
+)
 from core.environments.numbers import Ends, Noise, NotSimulated, Numbers
 from core.environments.rewards import total
 from core.environments.simulation import Simulation, as_xml
@@ -42,7 +48,7 @@ class MujocoEnv(ABC):
         self.model = model
         self.engine = engine
         self.dt = model.opt.timestep * num_substeps
-        self.observation_size = observation_size
+        self.observation_size: ObservationSize = observation_size
         self.action_size: int = model.nu
         self.tracked_body: int = model.body(tracked_body).id
         self.initial_qpos = jnp.asarray(initial_qpos(model), jnp.float32)

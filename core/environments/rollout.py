@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from core.compilation import compiled_side_by_side
 from core.environments.environment import Environment, State
+from core.environments.info import POLICY_GROUP
 from core.environments.trajectory import ARENA, Episode, Trajectory, describe
 
 # (observation [observation_size], or several by name, key) -> action [action_size]
@@ -225,8 +226,8 @@ def _advance(
 
 def _observed(state: State) -> dict[str, jax.Array]:
     obs = state.obs
-    if isinstance(obs, Mapping):  # concatenated, sorted by name
-        obs = jnp.concatenate([obs[name] for name in sorted(obs)], axis=-1)
+    if isinstance(obs, Mapping):
+        obs = obs[POLICY_GROUP]
     seen = {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": obs}
     return seen | ({"target": state.info[TARGET]} if TARGET in state.info else {})
 

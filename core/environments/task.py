@@ -9,9 +9,11 @@ import mujoco
 import numpy as np
 
 from core.environments.deployment import Deployment, deployment
-from core.environments.environment import State
+from core.environments.environment import Observation, State
+from core.environments.info import CRITIC_GROUP, POLICY_GROUP
 from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
 from core.environments.numbers import Noise, NotSimulated
+from core.environments.observation_group import ObservationGroup
 from core.environments.simulation import Simulation
 from core.environments.terms import foot_times
 from core.environments.terms.actions import JointPositionAction
@@ -22,16 +24,17 @@ from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
-from core.environments.terms.task import TaskOptions, metric_names, observed, parts_of
+from core.environments.terms.task import TaskOptions, metric_names, num_substeps, observed, parts_of
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
 from core.environments.terms.vocabulary import AnyReward
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import initial_qpos
 
-_SECONDS_PER_ACTION = 0.02
 _LOWEST, _HIGHEST = 0.4, 2.0
 # Folded into a reset's key: the key of the episode's own random numbers.
 _OF_THE_EPISODE = 7
+# What random numbers of a step are for, folded into their key: events have those from 3 on.
+_OF_THE_GROUP = 100
 
 
 class TaskEnv(MujocoEnv):
@@ -55,8 +58,12 @@ class TaskEnv(MujocoEnv):
         self._names = metric_names(paid)
         self._weights = [term.sign * term.weight for term in paid]
         self._rewards = [bound(term, named) for term in paid]
-        seen = observed(options)
-        self._seen = [bound(term, named) for term in seen]
+        frames = num_substeps(options, model.opt.timestep)
+        dt = frames * model.opt.timestep
+        self._policy = ObservationGroup(POLICY_GROUP, observed(options), named, dt, is_exact=False)
+        self._critic = None
+        if options.critic is not None:
+            self._critic = ObservationGroup(CRITIC_GROUP, options.critic, named, dt, is_exact=True)
         self._targets = None
         if isinstance(options.action, JointPositionAction):
             self._targets = servo_targets(options.action, model, start)
@@ -66,22 +73,22 @@ class TaskEnv(MujocoEnv):
         self._ends = [bound(term, named) for term in ends]
         where = () if named.free_joint(root) is not None else ("xpos",)
         read_by_feet = FIELDS if "foot_times" in self._memory else ()
-        bound_terms = (*self._rewards, *self._seen, *self._ends)
-        fields = set(where).union(read_by_feet, *(term.derived for term in bound_terms))
-        num_substeps = options.n_frames or max(1, round(_SECONDS_PER_ACTION / model.opt.timestep))
+        groups = [self._policy, *([self._critic] if self._critic else [])]
+        read = (part.derived for part in (*self._rewards, *groups, *self._ends))
+        fields = set(where).union(read_by_feet, *read)
         accelerated = SolverSettings(
             options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
-        engine = build_engine(model, num_substeps, tuple(sorted(fields)), accelerated=accelerated)
-        super().__init__(model, engine, num_substeps=num_substeps, observation_size=0, tracked_body=root)
+        engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=accelerated)
+        super().__init__(model, engine, num_substeps=frames, observation_size=0, tracked_body=root)
         self.initial_qpos = jnp.asarray(start, jnp.float32)
         self.initial_qvel, self.initial_act = _motion(model, options)
         self._spec, self._parts, self._inventory = spec, named, parts
-        self._observation, self._termination = seen, ends
-        self._is_random = bool(options.command or options.gait or options.events) or any(
-            term.noise for term in seen
-        )
-        self.observation_size = sum(term.size for term in self._seen)
+        self._termination = ends
+        self._is_random = bool(options.command or options.gait or options.events) or self._policy.is_random
+        self.observation_size = self._policy.size
+        if self._critic is not None:
+            self.observation_size = {POLICY_GROUP: self._policy.size, CRITIC_GROUP: self._critic.size}
 
     def reset(
         self, key: jax.Array, model: ModelFields = NOMINAL, *, command: jax.Array | None = None
@@ -108,6 +115,7 @@ class TaskEnv(MujocoEnv):
             info["command"] = drawn if command is None else command
         if options.gait:
             info["phase"] = self._uniform(info, 1, 1)[0]
+        info |= self._policy.drawn(lambda number: self._uniform(info, number, _OF_THE_GROUP))
         step = replace(step, command=info.get("command"))
         if "earlier_action" in self._memory:
             info["earlier_action"] = nothing
@@ -173,7 +181,7 @@ class TaskEnv(MujocoEnv):
             raise NotSimulated("it follows commands")
         return self.simulated(
             self._spec,
-            observation=[term.shown(self._parts) for term in self._observation],
+            observation=self._policy.shown(),
             noise=Noise(
                 reset.position_noise, reset.velocity_noise, is_normal=reset.velocity_distribution == "normal"
             ),
@@ -185,7 +193,7 @@ class TaskEnv(MujocoEnv):
         """The task as a robot runs it. Raises NotDeployed."""
         options = self._options
         return deployment(
-            self._observation,
+            observed(options),
             self._parts,
             parts_of(options, self._inventory),
             self._targets,
@@ -204,30 +212,30 @@ class TaskEnv(MujocoEnv):
         if (gait := self._options.gait) is not None:
             step = replace(step, phases=gait.phases(info["phase"], step))
         ended = [term.measure(step) for term in self._ends]
+        obs, remembered = self._observe(step, info)
         return self.stepped(
             step.after,
-            self._observe(step, info),
+            obs,
             rewards={
                 name: weight * term.measure(step)
                 for name, weight, term in zip(self._names, self._weights, self._rewards, strict=True)
             },
             done=jnp.max(jnp.stack(ended)) if ended else jnp.zeros(()),
             metrics=self._of_the_body(step, info["start"]),
-            info=info,
+            info={**info, **remembered},
         )
 
-    def _observe(self, step: Step, info: Mapping[str, jax.Array]) -> jax.Array:
+    def _observe(
+        self, step: Step, info: Mapping[str, jax.Array]
+    ) -> tuple[Observation, Mapping[str, jax.Array]]:
+        """What is seen, and entries of `State.info` that the groups keep."""
         step = replace(step, command=info.get("command"))
-        noise = None
-        if any(term.noise for term in self._observation):
-            noise = self._uniform(info, self.observation_size, 2)
-        seen: list[jax.Array] = []
-        start = 0
-        for term, part in zip(self._observation, self._seen, strict=True):
-            uniform = None if noise is None else noise[start : start + part.size]
-            seen.append(term.seen(step, self._parts, uniform))
-            start += part.size
-        return jnp.concatenate(seen)
+        noise = self._uniform(info, self._policy.width, 2) if self._policy.is_noisy else None
+        seen, entries = self._policy.seen(step, info, noise)
+        if self._critic is None:
+            return seen, entries
+        by_critic, its_entries = self._critic.seen(step, info, None)
+        return {POLICY_GROUP: seen, CRITIC_GROUP: by_critic}, {**entries, **its_entries}
 
     def _of_the_body(self, step: Step, start: jax.Array) -> dict[str, jax.Array]:
         """The root's position and velocity, and how far it is from the command: m, m/s, rad/s."""

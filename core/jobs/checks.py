@@ -6,6 +6,8 @@ from core.algorithms.catalog import reported
 from core.algorithms.spec import BaseSpec, check_resumption
 from core.bounds import LARGEST_JOB_BYTES, json_bytes
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.terms.randomized import Randomized
+from core.environments.terms.task import TaskOptions
 from core.errors import Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.resolved import ResolvedJob, resolve_job
@@ -39,7 +41,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     info = job.info
     if spec.physics != "auto" or not info.own_physics:
         check_physics(spec.physics, info.cannot_run)
-    _check_randomization(spec, info)
+    _check_randomization(spec, job)
     _check_video(spec, info)
     _check_devices(spec)
     match spec:
@@ -73,10 +75,18 @@ def _check_video(spec: JobSpec, info: EnvironmentInfo) -> None:
         raise Rejected(detail, [Problem("/video/episodes", detail), Problem("/num_episodes", detail)])
 
 
-def _check_randomization(spec: JobSpec, info: EnvironmentInfo) -> None:
+def _check_randomization(spec: JobSpec, job: ResolvedJob) -> None:
+    info = job.info
     if spec.randomization and info.own_physics:
         detail = f"{info.id} runs on Brax's own physics, which has no domain randomization."
         raise Rejected(detail, [Problem("/randomization", detail)])
+    if not isinstance(spec, TrainSpec) or not isinstance(job.options, TaskOptions):
+        return
+    fields = {rule.field for rule in spec.randomization}
+    for number, term in enumerate(job.options.critic or ()):
+        if isinstance(term, Randomized) and term.field not in fields:
+            detail = f"No rule of `randomization` changes {term.field}, so the critic would always see 0."
+            raise Rejected(detail, [Problem(f"/environment/options/critic/{number}/field", detail)])
 
 
 def _check_devices(spec: JobSpec) -> None:

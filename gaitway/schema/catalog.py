@@ -69,13 +69,14 @@ class EnvironmentDetails(EnvironmentView):
     defaults: every hyperparameter of a job that sets none, by algorithm and device. An algorithm that needs
     more than its defaults on this environment is left out.
     observation, action: their numbers in order, with units and bounds; empty where they depend on a model
-    that the options do not name.
+    that the options do not name. critic: those that only the value function sees, if it sees others.
     metrics: what a job reports, by algorithm and for `rollout`; without the terms of a reward that depend on
     options, `eval/episode_…`.
     """
 
     observation: tuple[SliceView, ...] = ()
     action: tuple[SliceView, ...] = ()
+    critic: tuple[SliceView, ...] = ()
     defaults: Mapping[str, Mapping[Device, Mapping[str, Any]]] = {}
     metrics: Mapping[str, tuple[str, ...]] = {}
 

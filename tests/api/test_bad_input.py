@@ -33,6 +33,13 @@ def corridor(**options: Any) -> dict[str, Any]:
     return {"kind": "train", "environment": {"id": "corridor", "options": options}}
 
 
+COMMAND = {"kind": "command"}
+
+
+def go1(**options: Any) -> dict[str, Any]:
+    return {"kind": "train", "environment": {"id": "go1", "options": options}}
+
+
 def star(**options: Any) -> dict[str, Any]:
     return {"kind": "train", "environment": {"id": "brittle_star", "options": options}}
 
@@ -207,6 +214,11 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             MINIMAL | {"randomization": [{"field": "body_mass", "range": [1]}]},
             "/randomization/0/range/1",
             "`range` has too few items",
+        ),
+        (
+            go1(observation=[COMMAND], critic=[COMMAND, {"kind": "randomized", "field": "body_mass"}]),
+            "/environment/options/critic/1/field",
+            "No rule of `randomization` changes body_mass",
         ),
         (
             MINIMAL | {"randomization": [{"field": "mass", "range": [1, 2]}]},

@@ -185,7 +185,7 @@ class ExportWriter:
             options=info.option_values.model_dump(mode="json"),
             step_s=self.built.environment.dt,
             trained_steps=step,
-            observation_parts=[asdict(part) for part in info.spaces.observation],
+            observation_parts=[asdict(part) for part in info.spaces.group(network.observation_name)],
             action_parts=[asdict(part) for part in info.spaces.action],
             robot=None if robot is None else robot.document(),
         )

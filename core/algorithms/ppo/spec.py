@@ -9,7 +9,7 @@ from pydantic import Field
 
 from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptron
 from core.algorithms.spec import BaseSpec, check_curriculum
-from core.environments.info import Device, EnvironmentInfo
+from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
 Activation = Literal["swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus"]
@@ -53,6 +53,7 @@ class PPOSpec(BaseSpec):
         "max_grad_norm",
     )
     why_no_seeds: ClassVar[str | None] = None
+    reads_critic: ClassVar[bool] = True
     trains_in_parts: ClassVar[bool] = True
 
     kind: Literal["ppo"] = "ppo"
@@ -165,8 +166,8 @@ class PPOSpec(BaseSpec):
     )
     value_obs_key: ObservationName = Field(
         default="state",
-        description="The value function's observation, in an environment with several by name; it may hold "
-        "more than the policy's (`privileged_state`).",
+        description="The value function's observation, in an environment with several by name; where there "
+        "is a `critic`, by default that (`privileged_state`).",
     )
 
     @property
@@ -259,14 +260,15 @@ def _crossed_learning_rates(settings: PPOSpec) -> Rejected | None:
 
 
 def _unknown_observation(settings: PPOSpec, environment: EnvironmentInfo) -> Rejected | None:
-    """The catalog's environments have one observation each, under Brax's name for it."""
+    known = environment.observations
+    has = "one observation" if len(known) == 1 else "the observations"
     problems = [
         Problem(
             f"/algorithm/{name}",
-            f"{environment.id} has one observation, 'state', and none called {key!r}.",
+            f"{environment.id} has {has}, {' and '.join(map(repr, known))}, and none called {key!r}.",
         )
         for name in ("policy_obs_key", "value_obs_key")
-        if (key := getattr(settings, name)) != "state"
+        if (key := getattr(settings, name)) not in known
     ]
     return Rejected(problems[0].detail, problems) if problems else None
 
@@ -284,12 +286,15 @@ def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: i
     arrays, activations, the next observations and the copies that XLA makes while it shuffles. Unknown
     sizes count as 0.
     """
-    observation, action = environment.observation_size or 0, environment.action_size or 0
+    sizes = {POLICY_GROUP: environment.observation_size or 0}
+    if CRITIC_GROUP in environment.observations:
+        sizes[CRITIC_GROUP] = sum(part.size for part in environment.spaces.critic)
+    observation, action = sum(sizes.values()), environment.action_size or 0
     transitions = settings.batch_size * settings.num_minibatches * settings.unroll_length // num_devices
     numbers = observation + action + _SCALARS
     # The policy puts out a mean and a deviation for each component.
-    parameters = perceptron([observation, *settings.policy_hidden_layer_sizes, 2 * action])
-    parameters += perceptron([observation, *settings.value_hidden_layer_sizes, 1])
+    parameters = perceptron([sizes[settings.policy_obs_key], *settings.policy_hidden_layer_sizes, 2 * action])
+    parameters += perceptron([sizes[settings.value_obs_key], *settings.value_hidden_layer_sizes, 1])
     num_envs = settings.num_envs // num_devices
     return MemoryNeed(
         (

@@ -21,7 +21,7 @@ from core.environments.brittle_star.options import (
 )
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.external.brax.info import SAME_TASK
-from core.environments.info import Device, EnvironmentInfo
+from core.environments.info import CRITIC_GROUP, Device, EnvironmentInfo
 
 _CPU: Mapping[str, Any] = {
     "num_timesteps": 5_000_000,
@@ -398,4 +398,7 @@ def tuned(environment: EnvironmentInfo, device: Device) -> PPOSpec:
     values = TUNED.get(environment.id, {})
     if by_options := TUNED_BY_OPTIONS.get(environment.id):
         values = by_options(environment.option_values)
-    return values.get(device, PPOSpec())
+    own = values.get(device, PPOSpec())
+    if CRITIC_GROUP in environment.observations:
+        return own.model_copy(update={"value_obs_key": CRITIC_GROUP})
+    return own

@@ -1,19 +1,29 @@
 """Whether the terms of a job fit the model that it names."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import cached_property
 from itertools import islice
 
 from core.bounds import LONGEST_NAME, MOST_OBSERVED, MOST_PROBLEMS
 from core.documents import Strict
+from core.environments.info import Slice
 from core.environments.mjcf.unmatched import unmatched, unmatched_by
+from core.environments.randomization import FIELDS
 from core.environments.terms.actions import JointPositionAction
-from core.environments.terms.inventory import Inventory, Kind
+from core.environments.terms.inventory import Inventory, Kind, ModelParts
 from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture, VariablePosture
-from core.environments.terms.observations import Activation, Qpos, Sensors
+from core.environments.terms.observations import Activation, ObservationTerm, Qpos, Sensors
+from core.environments.terms.randomized import Randomized
 from core.environments.terms.rewards import Contact, Distance, ForwardVelocity, JointLimits, VelocityTracking
-from core.environments.terms.task import MOST_FEET, Reset, TaskOptions, observed, parts_of
-from core.environments.terms.term import Need, OfBodyContact, Term
+from core.environments.terms.task import (
+    MOST_FEET,
+    Reset,
+    TaskOptions,
+    control_step_s,
+    observed,
+    parts_of,
+)
+from core.environments.terms.term import Need, OfBodyContact, Term, whole_steps
 from core.environments.terms.terminations import Touching
 from core.errors import Problem
 from core.nearest import nearest
@@ -77,29 +87,52 @@ class _Parts:
 def problems(options: TaskOptions, model: Inventory) -> list[Problem]:
     """Places where the options name something that the model does not have, up to fifty."""
     found = list(islice(_of_options(options, _Parts(model)), MOST_PROBLEMS))
+    if found:
+        return found
     seen_by = parts_of(options, model)
-    number = 0 if found else sum(term.size(seen_by) for term in observed(options))
-    if number > MOST_OBSERVED:
-        detail = f"The observation has {number:,} numbers; at most {MOST_OBSERVED:,} are allowed."
-        return [Problem(f"{_OPTIONS}/observation", detail)]
-    return found
+    for field, terms in (("observation", observed(options)), ("critic", options.critic or ())):
+        steps = (whole_steps(term.delay, control_step_s(options, model)).stop for term in terms)
+        number = sum(
+            (term.history + most - 1) * term.size(seen_by) for term, most in zip(terms, steps, strict=True)
+        )
+        if number > MOST_OBSERVED:
+            detail = f"The {field} has {number:,} numbers; at most {MOST_OBSERVED:,} are allowed."
+            return [Problem(f"{_OPTIONS}/{field}", detail)]
+    return list(islice(_of_critic(options, seen_by), MOST_PROBLEMS))
 
 
 def _of_options(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     model = parts.model
     yield from _of_name(options.root, f"{_OPTIONS}/root", "body", parts)
-    for field in ("reward", "observation", "termination"):
-        terms: Sequence[Strict] = getattr(options, field) or ()
-        for number, term in enumerate(terms):
-            here = f"{_OPTIONS}/{field}/{number}"
-            yield from _of_term(term, here, parts)
-            if isinstance(term, Qpos) and term.root_position is not None:
-                yield from _of_root(options.root or model.root, here, parts)
-            if isinstance(term, ForwardVelocity | VelocityTracking | Distance):
-                yield from _of_movement(term, options.root or model.root, here, parts)
+    for here, term in _terms(options):
+        if isinstance(term, Randomized):
+            yield from _of_randomized(term, here, parts)
+            continue
+        yield from _of_term(term, here, parts)
+        if isinstance(term, Qpos) and term.root_position is not None:
+            yield from _of_root(options.root or model.root, here, parts)
+        if isinstance(term, ForwardVelocity | VelocityTracking | Distance):
+            yield from _of_movement(term, options.root or model.root, here, parts)
     yield from _of_needs(options, parts)
     yield from _of_patterns(options, parts)
+    yield from _of_delays(options, model)
     yield from _of_reset(options.reset, model)
+
+
+def _of_delays(options: TaskOptions, model: Inventory) -> Iterator[Problem]:
+    """Delays that would always be 0, or that no whole number of control steps makes."""
+    control_step = control_step_s(options, model)
+    for pointer, term in _terms(options):
+        if not isinstance(term, ObservationTerm) or term.delay is None:
+            continue
+        steps = whole_steps(term.delay, control_step)
+        if steps.stop <= max(steps.start, 1):
+            low = control_step * max(1, round(term.delay[0] / control_step))
+            yield Problem(
+                f"{pointer}/delay",
+                f"No whole number of control steps of {control_step:g} s lies between {term.delay[0]:g} and "
+                f"{term.delay[1]:g} s, except none: take for example [{low:g}, {low:g}].",
+            )
 
 
 def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
@@ -158,7 +191,7 @@ _NEEDED: dict[Need, str] = {
 
 def _terms(options: TaskOptions) -> Iterator[tuple[str, Term]]:
     """All terms, with their pointers."""
-    for field in ("reward", "observation", "termination"):
+    for field in ("reward", "observation", "critic", "termination"):
         terms: Sequence[Term] = getattr(options, field) or ()
         for number, term in enumerate(terms):
             yield f"{_OPTIONS}/{field}/{number}", term
@@ -184,6 +217,47 @@ def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     for pointer, patterns in tables:
         for pattern in patterns:
             yield from unmatched_by(pattern, joints, _JOINT, pointer)
+
+
+def _of_critic(options: TaskOptions, model: ModelParts) -> Iterator[Problem]:
+    """What the policy sees and the critic does not: by such a critic the policy could not be judged."""
+    if options.critic is None:
+        return
+    seen = {part for term in options.critic for part in _numbers(term.slices(model))}
+    for term in observed(options):
+        missing = [part for part in _numbers(term.slices(model)) if part not in seen]
+        if missing:
+            name, component = missing[0]
+            what = f"{component!r} of {name}" if isinstance(component, str) else name
+            yield Problem(
+                f"{_OPTIONS}/critic",
+                f"The critic sees less than the policy, which sees {what}: repeat the policy's terms in it.",
+            )
+
+
+def _numbers(slices: Iterable[Slice]) -> Iterator[tuple[str, str | int]]:
+    """The name of each number's slice, and its own; how many there are where they have no names."""
+    for part in slices:
+        yield from ((part.name, component) for component in part.components or (part.size,))
+
+
+def _of_randomized(term: Randomized, pointer: str, parts: _Parts) -> Iterator[Problem]:
+    about, model = FIELDS[term.field], parts.model
+    if term.axis is not None and term.axis >= about.size:
+        detail = f"{term.field} has {about.size} numbers for each, counted from 0."
+        yield Problem(f"{pointer}/axis", detail)
+    if about.kind is None and term.names:
+        yield Problem(f"{pointer}/names", f"{term.field} belongs to the whole model, and has no names.")
+    known = {
+        "actuator": [actuator.name for actuator in model.actuators],
+        "body": model.bodies,
+        "geom": model.geoms,
+        "joint": [joint.name for joint in model.joints],
+        None: [],
+    }[about.kind]
+    for number, name in enumerate(term.names or () if about.kind else ()):
+        if name not in known:
+            yield from _unknown(name, f"{pointer}/names/{number}", about.kind or "", known, parts)
 
 
 def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:
@@ -240,7 +314,10 @@ def _of_movement(
 def _of_name(name: str | None, pointer: str, kind: Kind, parts: _Parts) -> Iterator[Problem]:
     if name is None or name in (known := parts.known(kind)):
         return
-    what = "joint with a range" if kind == "joint" else kind
+    yield from _unknown(name, pointer, "joint with a range" if kind == "joint" else kind, known, parts)
+
+
+def _unknown(name: str, pointer: str, what: str, known: Collection[str], parts: _Parts) -> Iterator[Problem]:
     parts.num_hints += 1
     near = nearest(name, known, number=3, cutoff=0.5) if parts.num_hints <= _MAX_HINTS else ()
     if near:

@@ -44,6 +44,7 @@ from core.environments.terms.task import (
     Rewards,
     TaskOptions,
     Terminations,
+    observations_of,
     task_slices,
 )
 from core.environments.terms.terminations import NotUpright, OutsideHeightRange
@@ -171,6 +172,7 @@ def _row(robot: Robot, options: type[TaskOptions], description: str) -> Environm
         tracked_body=robot.root,
         cameras=tuple(parts.cameras),
         options=options,
+        vary=observations_of,
         slices=partial(_slices, robot=robot.name),
         check=partial(_check, robot=robot.name),
         package=robot.package,

@@ -31,7 +31,7 @@ def bound(term: Term, model: ModelIndex) -> BoundTerm:
     data = mujoco.MjData(model.model)
     mujoco.mj_forward(model.model, data)
     derived = _Noted(data)
-    physics = SimpleNamespace(qpos=data.qpos, qvel=data.qvel, act=data.act, derived=derived)
+    physics = SimpleNamespace(qpos=data.qpos, qvel=data.qvel, act=data.act, derived=derived, model={})
     nothing = np.zeros(model.model.nu)
     each_foot = np.zeros(len(model.feet))
     step = Step(

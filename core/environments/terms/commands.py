@@ -2,23 +2,13 @@
 
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
-from core.bounds import Real
 from core.documents import Strict
-from core.environments.terms.term import Array
+from core.environments.terms.term import Array, Interval
 
 if TYPE_CHECKING:
     from core.environments.terms.step import Step
-
-
-def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
-    if bounds[0] > bounds[1]:
-        raise ValueError(f"[{bounds[0]:g}, {bounds[1]:g}] is not [low, high] with low ≤ high")
-    return bounds
-
-
-Interval = Annotated[tuple[Real, Real], Field(strict=False), AfterValidator(_not_descending)]
 
 
 class VelocityCommand(Strict):

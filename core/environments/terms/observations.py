@@ -12,7 +12,7 @@ from core.environments.info import Slice, named
 from core.environments.numbers import PREVIOUS_ACTION, NotSimulated, Numbers, numbers, rows
 from core.environments.terms.inventory import Inventory, ModelParts, Sensor
 from core.environments.terms.sensed import Sensed, as_measured
-from core.environments.terms.term import Array, Names, OfBodies, Term
+from core.environments.terms.term import DELAY, Array, Delay, Names, OfBodies, Term
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -49,13 +49,27 @@ _OF_A_STATE = ("qpos", "qvel", "act")
 
 
 class ObservationTerm(Term):
-    """Numbers that a policy sees: those of `measure` with noise, times `scale`, within ± `clip`.
+    """Numbers that a policy sees: those of `measure` with noise and bias, times `scale`, within ± `clip`; of
+    these, the last ones up to the delay. A critic sees them without noise, bias and delay.
 
     The parts that it names are in the model.
     """
 
     scale: float = Field(default=1.0, gt=0, le=1e6, description="What is seen is the number times this.")
-    noise: float = Field(default=0.0, ge=0, le=1e6, description="Uniform in ± this, before the scale.")
+    noise: float = Field(
+        default=0.0, ge=0, le=1e6, description="Uniform in ± this, drawn in each step, before the scale."
+    )
+    bias: float = Field(
+        default=0.0, ge=0, le=1e6, description="Uniform in ± this, drawn for each episode, before the scale."
+    )
+    delay: Delay | None = Field(default=None, description=f"How old what is seen is. {DELAY}")
+    history: int = Field(
+        default=1,
+        ge=1,
+        le=100,
+        description="How many of the last values are seen, the oldest first; an episode's first value stands "
+        "for those before it.",
+    )
     clip: float | None = Field(default=None, gt=0, le=1e6, description="Bounds what is seen to ± this.")
 
     def size(self, parts: ModelParts) -> int:
@@ -66,6 +80,13 @@ class ObservationTerm(Term):
         """Its numbers by name and unit."""
         raise NotImplementedError
 
+    def slices_of_history(self, parts: ModelParts) -> Iterable[Slice]:
+        """Those of all steps that are seen, the oldest first; `knee t-2` is two steps older than `knee`."""
+        for age in reversed(range(self.history)):
+            of_the_past = f" t-{age}" if age else ""
+            for part in self.slices(parts):
+                yield replace(part, components=tuple(f"{name}{of_the_past}" for name in part.components))
+
     def numbers(self, model: "ModelIndex") -> Numbers:
         """Where they are in MuJoCo's arrays. Raises NotSimulated where they are no part of them."""
         raise NotSimulated(f"it observes {getattr(self, 'kind', 'what only the training computes')}")
@@ -74,9 +95,16 @@ class ObservationTerm(Term):
         """What a robot measures for it, before noise, scale and clip."""
         return as_measured(str(getattr(self, "kind", "")), self.slices(parts))
 
-    def seen(self, step: "Step", model: "ModelIndex", uniform: Array | None = None) -> Array:
-        """What a policy sees of it, [n]. uniform: [n] random numbers in [0, 1) for the noise; None: none."""
+    def seen(
+        self, step: "Step", model: "ModelIndex", uniform: Array | None = None, bias: Array | None = None
+    ) -> Array:
+        """Its numbers in a step as they are seen, [n]: now, or by `remembered` later.
+
+        uniform: [n] random numbers in [0, 1) for the noise; None: none. bias: [n]; None: none.
+        """
         values = self.measure(step, model)
+        if bias is not None and self.bias:
+            values = values + bias
         if uniform is not None and self.noise:
             values = values + self.noise * (2.0 * uniform - 1.0)
         if self.scale != 1.0:
@@ -87,6 +115,8 @@ class ObservationTerm(Term):
         """`numbers`, with their bounds. Raises NotSimulated."""
         if self.scale != 1.0:
             raise NotSimulated("it scales what it observes")
+        if self.history > 1 or self.delay is not None:
+            raise NotSimulated("it observes what is past")
         numbers = self.numbers(model)
         return numbers if self.clip is None else replace(numbers, max_abs=self.clip)
 

@@ -8,12 +8,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from core.environments.model_rows import object_names, rows_of
 from core.environments.patterns import by_name, matching
+from core.environments.randomization import FIELDS, FieldName
 from core.environments.terms.describe import touchable
 from core.environments.terms.feet import Foot
 from core.environments.terms.foot_times import FootTimes
 from core.environments.terms.readings import ContactCount, ContactForce, is_added
 from core.environments.terms.term import Array
+from core.physics.model import model_field
 
 # A command below this norm (m/s, rad/s) is to stand still.
 _STANDING = 0.05
@@ -129,6 +132,18 @@ class ModelIndex:
             names = [ContactForce(self.model.body(body).name).sensor for body in bodies]
             sums.append(step.xp.sum(forces[self.sensors(names)]))
         return step.xp.stack(sums)
+
+    def field(self, name: FieldName) -> np.ndarray:
+        """The model's own values of a field, [rows, numbers of each]."""
+        return np.asarray(model_field(self.model, name)).reshape(-1, FIELDS[name].size)
+
+    def rows(self, field: FieldName, names: Sequence[str] | None) -> np.ndarray:
+        """The rows of a field that belong to these geoms, bodies, joints or actuators; None: all."""
+        kind = FIELDS[field].kind
+        if kind is None or names is None:
+            return np.arange(len(self.field(field)))
+        known = object_names(self.model, kind)
+        return np.array([row for name in names for row in rows_of(self.model, field, known.index(name))], int)
 
     def free_joint(self, body: int) -> int | None:
         """The first index of the body's free joint in qpos; None if it has none."""

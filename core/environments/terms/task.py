@@ -1,13 +1,13 @@
 """A task: the terms of an environment, how its episodes begin, and how its physics is stepped."""
 
-from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from core.bounds import MOST_ITEMS, Real
 from core.documents import Strict
-from core.environments.info import Spaces, in_order, named
+from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces, in_order, named
 from core.environments.options import NoiseScale
 from core.environments.patterns import PATTERNS, Pattern, matching_in_turn
 from core.environments.terms.actions import AnyAction, ControlAction, JointPositionAction
@@ -17,14 +17,16 @@ from core.environments.terms.observations import ObservationTerm, Qpos, Qvel, Se
 from core.environments.terms.readings import Reading
 from core.environments.terms.term import Memory, Name, Term
 from core.environments.terms.terminations import AnyTermination
-from core.environments.terms.vocabulary import AnyObservation, AnyReward
+from core.environments.terms.vocabulary import AnyCriticObservation, AnyObservation, AnyReward
 
 MOST_FEET = 8
+_SECONDS_PER_ACTION = 0.02
 # Seconds per physics step.
 SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1
 
 Rewards = Annotated[list[AnyReward], Field(min_length=1, max_length=64)] | None
 Observations = Annotated[list[AnyObservation], Field(min_length=1, max_length=64)] | None
+Critic = Annotated[list[AnyCriticObservation], Field(min_length=1, max_length=64)] | None
 Terminations = Annotated[list[AnyTermination], Field(max_length=64)] | None
 Feet = Annotated[list[Pattern], Field(max_length=MOST_FEET)]
 Events = Annotated[list[Push], Field(max_length=16)]
@@ -68,6 +70,11 @@ class TaskOptions(Strict):
     )
     observation: Observations = Field(
         default=None, description="Terms to concatenate, in this order; null: qpos and qvel."
+    )
+    critic: Critic = Field(
+        default=None,
+        description="Terms that the value function sees in place of the observation, without noise; they "
+        "include all of the observation's. null: it sees the observation.",
     )
     termination: Terminations = Field(
         default=None,
@@ -115,7 +122,8 @@ class TaskOptions(Strict):
     @property
     def terms(self) -> list[Term]:
         """All that it gives."""
-        return [*(self.reward or ()), *(self.observation or ()), *(self.termination or ())]
+        seen = (*(self.observation or ()), *(self.critic or ()))
+        return [*(self.reward or ()), *seen, *(self.termination or ())]
 
     def readings(self, model: Inventory) -> list[Reading]:
         """What the terms read of contacts. model: of the body."""
@@ -130,7 +138,8 @@ class TaskOptions(Strict):
     @property
     def sensors(self) -> list[str] | None:
         """The model's own sensors that some term reads; None: all."""
-        terms = [term for term in self.observation or [] if isinstance(term, Sensors)]
+        seen = [*(self.observation or []), *(self.critic or [])]
+        terms = [term for term in seen if isinstance(term, Sensors)]
         if any(term.names is None for term in terms):
             return None
         return [name for term in terms for name in term.names or []]
@@ -142,14 +151,22 @@ def metric_names(terms: Sequence[AnyReward]) -> list[str]:
 
 
 def task_slices(options: TaskOptions, model: Inventory) -> Spaces:
-    """The numbers of the observation and of the action. model: of the body."""
+    """The numbers of the observations and of the action. model: of the body."""
     parts = parts_of(options, model)
-    seen = [part for term in observed(options) for part in term.slices(parts)]
+    seen, by_critic = (
+        [part for term in terms for part in term.slices_of_history(parts)]
+        for terms in (observed(options), options.critic or ())
+    )
     acts = [
         named(name, (name,), None, *_ends(options, actuator))
         for name, actuator in zip(model.acting, model.actuators, strict=True)
     ]
-    return Spaces(in_order(seen), in_order(acts))
+    return Spaces(in_order(seen), in_order(acts), in_order(by_critic))
+
+
+def observations_of(options: TaskOptions) -> Mapping[str, Any]:
+    """What these options change of the catalog's row: the names of its observations."""
+    return {"observations": (POLICY_GROUP, *([CRITIC_GROUP] if options.critic else []))}
 
 
 def _ends(options: TaskOptions, actuator: Actuator) -> tuple[float | None, float | None]:
@@ -157,6 +174,17 @@ def _ends(options: TaskOptions, actuator: Actuator) -> tuple[float | None, float
     if isinstance(options.action, JointPositionAction):
         return None, None
     return actuator.control_range or (-1.0, 1.0)  # Without a range, an action is the control itself.
+
+
+def num_substeps(options: TaskOptions, timestep_s: float) -> int:
+    """Physics steps per action."""
+    return options.n_frames or max(1, round(_SECONDS_PER_ACTION / timestep_s))
+
+
+def control_step_s(options: TaskOptions, model: Inventory) -> float:
+    """Seconds per action."""
+    timestep = options.timestep or model.timestep_s
+    return num_substeps(options, timestep) * timestep
 
 
 def parts_of(options: TaskOptions, model: Inventory) -> ModelParts:

@@ -7,6 +7,7 @@ trains, NumPy beside MuJoCo's own data. Which fields of the physics it reads is 
 """
 
 from collections.abc import Iterable
+from math import ceil, floor
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
@@ -35,6 +36,26 @@ def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 Direction = Annotated[Vector, AfterValidator(_not_zero)]
+
+
+def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] > bounds[1]:
+        raise ValueError(f"[{bounds[0]:g}, {bounds[1]:g}] is not [low, high] with low ≤ high")
+    return bounds
+
+
+Interval = Annotated[tuple[Real, Real], Field(strict=False), AfterValidator(_not_descending)]
+_Seconds = Annotated[float, Field(ge=0, le=10)]
+Delay = Annotated[tuple[_Seconds, _Seconds], Field(strict=False), AfterValidator(_not_descending)]
+DELAY = "[lowest, highest] in s, drawn for each episode among the whole control steps in between; null: none."
+# Of a control step: what a delay may miss a whole number by.
+_ROUNDING = 1e-6
+
+
+def whole_steps(delay: tuple[float, float] | None, control_step_s: float) -> range:
+    """The delays in control steps that lie in the range, perhaps none of them; only 0 without a range."""
+    low, high = delay or (0.0, 0.0)
+    return range(ceil(low / control_step_s - _ROUNDING), floor(high / control_step_s + _ROUNDING) + 1)
 
 
 # `free_root`: a free joint of the root. The others are fields of `TaskOptions`.

@@ -7,9 +7,11 @@ from pydantic import Field
 from core.environments.terms.foot_terms import FootObservation, FootReward
 from core.environments.terms.locomotion import WalkingObservation, WalkingReward
 from core.environments.terms.observations import NumbersOfMujoco
+from core.environments.terms.randomized import Randomized
 from core.environments.terms.rewards import CommonReward
 
-AnyObservation = Annotated[
-    NumbersOfMujoco | WalkingObservation | FootObservation, Field(discriminator="kind")
-]
+_Observation = NumbersOfMujoco | WalkingObservation | FootObservation
+AnyObservation = Annotated[_Observation, Field(discriminator="kind")]
+# No robot knows which physics was drawn for it, so only a value function may see that.
+AnyCriticObservation = Annotated[_Observation | Randomized, Field(discriminator="kind")]
 AnyReward = Annotated[CommonReward | WalkingReward | FootReward, Field(discriminator="kind")]

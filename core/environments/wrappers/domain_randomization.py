@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.environments.environment import Environment, State, Wrapped
-from core.environments.randomization import FIELDS, FieldName, Kind, Randomization
+from core.environments.model_rows import object_names, rows_of
+from core.environments.randomization import FIELDS, FieldName, Randomization
 from core.errors import JobFailed
 from core.physics.engine import CONSTANTS, NOMINAL, ModelFields
 from core.physics.model import model_field
@@ -111,25 +112,11 @@ def _rows(model: mujoco.MjModel, rule: Randomization) -> tuple[NDArray[np.intp],
     kind = FIELDS[rule.field].kind
     if kind is None:
         return np.zeros(1, np.intp), np.zeros(1, np.intp)
-    known = _names(model, kind)
+    known = object_names(model, kind)
     objects = range(len(known)) if rule.names is None else [_find(kind, name, known) for name in rule.names]
-    rows = [row for one in objects for row in _rows_of(model, rule.field, one)]
-    owners = [number for number, one in enumerate(objects) for _ in _rows_of(model, rule.field, one)]
+    rows = [row for one in objects for row in rows_of(model, rule.field, one)]
+    owners = [number for number, one in enumerate(objects) for _ in rows_of(model, rule.field, one)]
     return np.array(rows, np.intp), np.array(owners, np.intp) * rule.each
-
-
-def _rows_of(model: mujoco.MjModel, field: str, number: int) -> list[int]:
-    """In `dof_` fields, a joint has a row per degree of freedom; everything else has one row."""
-    if not field.startswith("dof_"):
-        return [number]
-    return np.flatnonzero(model.dof_jntid == number).tolist()
-
-
-def _names(model: mujoco.MjModel, kind: Kind) -> list[str]:
-    """Names in MuJoCo's order; empty for an object without one."""
-    counts = {"actuator": len(model.actuator_gear), "body": model.nbody, "geom": model.ngeom}
-    get = getattr(model, kind)
-    return [str(get(number).name) for number in range(counts.get(kind, model.njnt))]
 
 
 def _find(kind: str, name: str, known: Sequence[str]) -> int:
