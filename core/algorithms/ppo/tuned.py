@@ -287,7 +287,7 @@ _JOYSTICK: Mapping[str, Any] = {
     "learning_rate": 2e-3,
     "learning_rate_schedule": "LINEAR",
     "entropy_cost": 0.01,
-    "discounting": 0.96,
+    "discounting": 0.97,
     "reward_scaling": 0.15,
     "clipping_epsilon": 0.2,
     "max_grad_norm": 1.0,
@@ -322,7 +322,7 @@ def _joystick(steps: int, steps_on_a_cpu: int) -> Mapping[Device, PPOSpec]:
     }
 
 
-G1 = _joystick(20_000_000, 10_000_000)
+G1 = _joystick(24_000_000, 10_000_000)
 GO1 = _joystick(12_000_000, 4_000_000)
 
 
