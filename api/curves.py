@@ -81,14 +81,28 @@ def json_lines(blocks: Iterable[Block]) -> Iterator[bytes]:
         )
 
 
-def csv_lines(blocks: Iterable[Block], newest: Newest) -> Iterator[str]:
+def csv_lines(blocks: Iterable[Block], newest: Newest) -> Iterator[bytes]:
     """The rows that count as CSV (RFC 4180), a block at a time: step, time, then every name in alphabetical
     order; empty for no value."""
     names = sorted(newest.names)
-    yield _csv([["step", "time", *map(_harmless, names)]])
+    head = io.StringIO()
+    csv.writer(head).writerow(["step", "time", *map(_harmless, names)])
+    yield head.getvalue().encode()
     for block in blocks:
         lines = newest.of(block).lines(names)
-        yield _csv([step, _moment(time).isoformat(), *values] for _, step, time, *values in lines)
+        if rows := [(step, _moment(time), *values) for _, step, time, *values in lines]:
+            yield _csv(rows)
+
+
+def _csv(rows: Sequence[tuple[int | datetime | float | None, ...]]) -> bytes:
+    """Lists of lists in JSON are CSV but for brackets, `null`, and the times' quotes and zone.
+
+    The module `csv` takes four times as long for numbers.
+    """
+    text = _encoder.encode(rows).removeprefix(b"[[").removesuffix(b"]]") + b"\r\n"
+    for json, cell in ((b"],[", b"\r\n"), (b"null", b""), (b'Z"', b"+00:00"), (b'"', b"")):
+        text = text.replace(json, cell)
+    return text
 
 
 def _moment(time: float) -> datetime:
@@ -98,9 +112,3 @@ def _moment(time: float) -> datetime:
 def _harmless(text: str) -> str:
     """A cell that no spreadsheet takes for a formula, as the page's CSV has it."""
     return f"'{text}" if text.startswith(_FORMULA) else text
-
-
-def _csv(rows: Iterable[Iterable[object]]) -> str:
-    text = io.StringIO()
-    csv.writer(text).writerows(rows)
-    return text.getvalue()

@@ -4,14 +4,15 @@ The zip is made while it is sent: no member is ever whole in memory, and nothing
 """
 
 import io
-import json
 import platform
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from itertools import chain
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
+
+from pydantic_core import to_json
 
 from api.curves import csv_lines, json_lines
 from api.dependencies import Service
@@ -34,6 +35,8 @@ _NEWEST_ALONE = ("checkpoint", "video", "poster")
 _LEFT_OUT = ("metrics", "log", "tensorboard", "wandb")
 # A file up to this size is in memory at once, so that the object store is asked for it once.
 _HELD_BYTES = 2**20
+# The fastest: metrics take 30 % more bytes than at the usual level, and a quarter of its time.
+_LEVEL = 1
 # Each piece of an answer costs a change of threads.
 _SENT_BYTES = 2**16
 # Every training that ended well has these.
@@ -90,6 +93,7 @@ def zip_stream(members: Iterable[ZipMember]) -> Iterator[bytes]:
         for member in members:
             info = ZipInfo(member.path, _WHEN)
             info.compress_type = ZIP_DEFLATED if member.compress else ZIP_STORED
+            info._compresslevel = _LEVEL  # pyright: ignore # Public from Python 3.13 on, as `compress_level`.
             info.external_attr = 0o644 << 16
             with archive.open(info, "w", force_zip64=True) as file:
                 for piece in member.pieces:
@@ -123,14 +127,14 @@ def export(job: Job, service: Service) -> Iterator[ZipMember]:
     yield _json("spec.json", spec)
     yield _json("job.json", job_view(job).model_dump(mode="json"))
     yield _json("versions.json", versions(job))
-    yield ZipMember("metrics.csv", map(str.encode, csv_lines(_metrics(job, service), newest)))
+    yield ZipMember("metrics.csv", csv_lines(_metrics(job, service), newest))
     yield ZipMember("metrics.jsonl", json_lines(map(newest.of, _metrics(job, service))))
     yield ZipMember("log.txt", _log(job, service))
     yield from _model(job, service, contents)
     if (source := job.spec.source) is not None:
         contents.lacks(f"the checkpoint of job {source.job}", "that is another job, which has its own export")
     yield from _files(job, service, contents)
-    yield _json("contents.json", asdict(contents))
+    yield _json("contents.json", vars(contents))
 
 
 def versions(job: Job) -> dict[str, Any]:
@@ -238,7 +242,7 @@ def _text(path: str, text: str) -> ZipMember:
 
 
 def _json(path: str, document: Mapping[str, Any]) -> ZipMember:
-    return _text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+    return ZipMember(path, [to_json(document, indent=2), b"\n"])
 
 
 def first_read(members: Iterable[Any]) -> Iterator[Any]:

@@ -1,7 +1,6 @@
 """An export, as `api.sharing.export` writes it, becomes a job of this service."""
 
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -274,10 +273,12 @@ def _rows(archive: JobArchive) -> Iterator[Measurement]:
 
 
 def _row(line: bytes, number: int) -> _Row | ArchiveRow:
-    with suppress(msgspec.DecodeError):
+    try:
         row = _decoder.decode(line)
         if FIRST_MOMENT <= row.time < LAST_MOMENT:
             return row
+    except msgspec.DecodeError:
+        pass  # The other model says what is wrong.
     try:
         return ArchiveRow.model_validate_json(line)
     except ValidationError as error:

@@ -10,15 +10,17 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from heapq import merge
 from itertools import compress, islice, pairwise, repeat
-from math import isfinite, nan
+from math import isfinite, isnan, nan
 from operator import gt, itemgetter
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 import msgspec
 
 from core.bounds import MOST_METRICS
 
 Names = frozenset[str]
+# A tuple that begins with its number.
+Row = TypeVar("Row", bound=tuple[Any, ...])
 
 
 def _integers() -> "array[int]":
@@ -64,8 +66,10 @@ class Table:
         )
 
 
-def _cells(column: "array[float]") -> Iterator[float | None]:
-    return (value if value == value else None for value in column)  # nan.
+def _cells(column: "array[float]") -> Iterable[float | None]:
+    if not isnan(sum(column)):  # It has no nan.
+        return column
+    return (None if isnan(value) else value for value in column)
 
 
 class _Stored(msgspec.Struct, array_like=True):
@@ -152,7 +156,7 @@ class Block:
 
     def rows(self) -> Iterator[Measurement]:
         """The rows in their order."""
-        return map(Measurement._make, _in_order(map(_rows, self.tables.values())))
+        return _in_order(map(_rows, self.tables.values()))
 
     def column(self, name: str) -> "tuple[array[int], array[float], array[float]]":
         """A metric's steps, times and values, in the order in which they were measured."""
@@ -196,15 +200,14 @@ class Block:
         return block
 
 
-def _rows(table: Table) -> Iterator[tuple[Any, ...]]:
-    names = list(table.columns)
-    return (
-        (number, step, time, dict(zip(names, values, strict=True)))
-        for number, step, time, *values in table.lines(names)
-    )
+def _rows(table: Table) -> Iterator[Measurement]:
+    names, cells = list(table.columns), [_cells(column) for column in table.columns.values()]
+    values = zip(*cells, strict=True) if cells else repeat(())
+    named = (dict(zip(names, row, strict=True)) for row in values)
+    return map(Measurement, table.numbers, table.steps, table.times, named)
 
 
-def _in_order(tables: Iterable[Iterator[tuple[Any, ...]]]) -> Iterator[tuple[Any, ...]]:
+def _in_order(tables: Iterable[Iterator[Row]]) -> Iterator[Row]:
     found = list(tables)
     return found[0] if len(found) == 1 else merge(*found, key=itemgetter(0))
 

@@ -1,15 +1,18 @@
 """Metrics thinned for pictures."""
 
+import csv
+import io
 import math
+from datetime import datetime
 from typing import Any
 
 import pytest
 
 from api import curves as curves_module
-from api.curves import extremes, thinned
+from api.curves import csv_lines, extremes, thinned
 from api.routes import metrics
 from core.jobs import feeds
-from core.jobs.metrics import Block, Curves, Measurement
+from core.jobs.metrics import Block, Curves, Measurement, Newest
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.problems import pointers, problem
 
@@ -40,6 +43,20 @@ def test_a_value_that_is_no_number_hides_no_other() -> None:
     values = [0.0, math.nan, 2.0, 7.0, math.nan, math.nan, math.nan, 1.0]
     # Parts nan 2 7 and nan nan nan: of the second one a place stays, so that the curve has a gap there.
     assert extremes(values, range(8), 6) == [0, 2, 3, 4, 7]
+
+
+def test_every_number_of_a_table_is_read_back_as_it_was() -> None:
+    name, values = 'a "quoted", name', [0.1, -1e-300, 1.7e308, 1e16, -0.0, 5.0, math.nan, 2 / 3]
+    block = Block.of(
+        Measurement(number, 10**18 + number, 1.5 + number, {name: value})
+        for number, value in enumerate(values)
+    )
+    text = b"".join(csv_lines([block], Newest([block]))).decode()
+    head, *rows = csv.reader(io.StringIO(text, newline=""))
+    assert head == ["step", "time", name]
+    assert [float(cell) if cell else None for *_, cell in rows] == [None if v != v else v for v in values]
+    assert [int(step) for step, *_ in rows] == [10**18 + number for number in range(8)]
+    assert [datetime.fromisoformat(time).timestamp() for _, time, _ in rows] == [1.5 + n for n in range(8)]
 
 
 def test_metrics_of_one_moment_share_a_row_and_others_do_not() -> None:
