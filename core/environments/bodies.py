@@ -44,6 +44,8 @@ _AXES = ("x", "y", "z")
 _QUATERNION = ("qw", "qx", "qy", "qz")
 # MuJoCo's order of an inertia about the centre of mass of the tree, its first moment, and the mass.
 CINERT = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz", "mx", "my", "mz", "m")
+# A symmetric matrix row by row, and the mass.
+MATRIX_AND_MASS = ("Ixx", "Ixy", "Ixz", "Ixy", "Iyy", "Iyz", "Ixz", "Iyz", "Izz", "m")
 CVEL = ("wx", "wy", "wz", "vx", "vy", "vz")
 
 # A number's name and its unit.

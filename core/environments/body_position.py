@@ -1,6 +1,8 @@
-"""A body's position, computed from its joints: for metrics that an environment does not report itself."""
+"""A body's position, computed from its joints: the numbers that every engine has without deriving them."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,58 @@ import numpy as np
 
 from core.physics.engine import PhysicsState
 
-_Position = Callable[[PhysicsState], jax.Array]
+
+@dataclass(frozen=True)
+class Slides:
+    """A body that slides along fixed axes: where it is, origin [3] + Σ qpos[start + k] axes[k], in m.
+
+    axes: [number of slides, 3].
+    """
+
+    start: int
+    origin: np.ndarray
+    axes: np.ndarray
+
+    def position(self, qpos: Any) -> Any:
+        """[3], of an array of JAX or of NumPy."""
+        return self.origin + sum(axis * qpos[self.start + k] for k, axis in enumerate(self.axes))
+
+    @property
+    def rises(self) -> bool:
+        return bool(self.axes[:, 2].any())
+
+    @property
+    def upright(self) -> int | None:
+        """Which slide is the height above the origin; None if it takes more than one to know."""
+        along = np.flatnonzero(self.axes[:, 2])
+        return int(along[0]) if len(along) == 1 and self.axes[along[0], 2] == 1.0 else None
+
+
+def free_joint_of(model: mujoco.MjModel, body: int) -> int | None:
+    """The first index of the body's free joint in qpos; None if it has none."""
+    first = int(model.body_jntadr[body])
+    if first < 0 or model.jnt_type[first] != mujoco.mjtJoint.mjJNT_FREE:
+        return None
+    return int(model.jnt_qposadr[first])
+
+
+def slides_of(model: mujoco.MjModel, body: int) -> Slides | None:
+    """The slides that move a body of the world; None if others, or none, determine where it is."""
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    if count == 0 or model.body_parentid[body] != 0:
+        return None
+    # Slides move it along fixed axes, up to a hinge, which turns the axes after it.
+    slides = model.jnt_type[first : first + count] == mujoco.mjtJoint.mjJNT_SLIDE
+    num_slides = int(np.argmin([*slides, False]))
+    turned_about_itself = not model.jnt_pos[first + num_slides : first + count].any()
+    if num_slides == 0 or slides[num_slides:].any() or not turned_about_itself:
+        return None
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.body_quat[body])
+    axes = (model.jnt_axis[first : first + num_slides] @ rotation.reshape(3, 3).T).astype(np.float32)
+    start = int(model.jnt_qposadr[first])
+    origin = (model.body_pos[body] - model.qpos0[start : start + num_slides] @ axes).astype(np.float32)
+    return Slides(start, origin, axes)
 
 
 def body_position(model: mujoco.MjModel, body: int) -> Callable[[PhysicsState], Mapping[str, jax.Array]]:
@@ -18,37 +71,13 @@ def body_position(model: mujoco.MjModel, body: int) -> Callable[[PhysicsState], 
     The distance is in three dimensions, as in Brax. The result is empty for a body that does not travel by
     joints of its own, and has no height for one that stays level.
     """
-    position, rises = _position(model, body)
-    if position is None:
+    start, slides = free_joint_of(model, body), slides_of(model, body)
+    if start is None and slides is None:
         return lambda physics: {}
 
     def read(physics: PhysicsState) -> Mapping[str, jax.Array]:
-        where = position(physics)
+        where = slides.position(physics.qpos) if slides else physics.qpos[start : start + 3]
         found = {"distance_from_origin": jnp.linalg.norm(where)}
-        return found | {"height": where[2]} if rises else found
+        return found | {"height": where[2]} if slides is None or slides.rises else found
 
     return read
-
-
-def _position(model: mujoco.MjModel, body: int) -> tuple[_Position | None, bool]:
-    """A function that reads a body's position [3], or None if its joints do not determine it; and whether
-    the body can rise."""
-    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-    if count == 0 or model.body_parentid[body] != 0:
-        return None, False
-    start = int(model.jnt_qposadr[first])
-    if model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
-        return lambda physics: physics.qpos[start : start + 3], True
-    # Slides move it along fixed axes, up to a hinge, which turns the axes after it.
-    kinds = model.jnt_type[first : first + count]
-    slides = kinds == mujoco.mjtJoint.mjJNT_SLIDE
-    num_slides = int(np.argmin([*slides, False]))
-    turned_about_itself = not model.jnt_pos[first + num_slides : first + count].any()
-    if num_slides == 0 or slides[num_slides:].any() or not turned_about_itself:
-        return None, False
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.body_quat[body])
-    axes = (model.jnt_axis[first : first + num_slides] @ rotation.reshape(3, 3).T).astype(np.float32)
-    end = start + num_slides
-    origin = (model.body_pos[body] - model.qpos0[start:end] @ axes).astype(np.float32)
-    return lambda physics: origin + physics.qpos[start:end] @ axes, bool(axes[:, 2].any())

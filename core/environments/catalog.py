@@ -1,6 +1,7 @@
 """All environments.
 
-To add one, write a package with `info` and `environment`; add its import and its member of `BUILT_IN` here.
+To add one, write its page and add its import and its member of `BUILT_IN` here. What terms cannot say is a
+package with `info` and `environment`.
 """
 
 from collections.abc import Mapping
@@ -18,15 +19,12 @@ from core.environments.dm_control.rodent.info import INFO as RODENT
 from core.environments.external.brax import info as brax_registry
 from core.environments.external.playground import info as playground
 from core.environments.info import EnvironmentInfo
-from core.environments.locomotion.info import (
-    ANT,
-    HALF_CHEETAH,
-    HOPPER,
-    HUMANOID,
-    INVERTED_PENDULUM,
-    REACHER,
-    WALKER2D,
-)
+from core.environments.locomotion.ant import ANT
+from core.environments.locomotion.half_cheetah import HALF_CHEETAH
+from core.environments.locomotion.humanoid import HUMANOID
+from core.environments.locomotion.inverted_pendulum import INVERTED_PENDULUM
+from core.environments.locomotion.planar import HOPPER, WALKER2D
+from core.environments.locomotion.reacher.info import INFO as REACHER
 from core.environments.mjcf.info import INFO as MJCF
 from core.environments.robots.info import INFOS as ROBOTS
 from core.errors import EnvironmentNotFound, Problem, Rejected

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar
+from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -33,8 +33,8 @@ class MujocoEnv(ABC):
 
     episode_length = 1000
     discretization: Discretization = CONTINUOUS
-    reports_rewards: ClassVar[bool] = True
-    aliases: ClassVar[Mapping[str, str]] = {}
+    reports_rewards: bool = True
+    aliases: Mapping[str, str] = MappingProxyType({})
 
     def __init__(
         self,

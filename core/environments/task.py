@@ -1,7 +1,7 @@
 """An environment made of a model and of terms."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from core.environments.numbers import Noise, NotSimulated
 from core.environments.observation_group import ObservationGroup
 from core.environments.simulation import Simulation
 from core.environments.terms import foot_times
-from core.environments.terms.actions import JointPositionAction
+from core.environments.terms.actions import ControlAction, JointPositionAction
 from core.environments.terms.binding import bound, servo_targets
 from core.environments.terms.describe import height_of, root_of
 from core.environments.terms.feet import feet_of
@@ -24,7 +24,14 @@ from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
-from core.environments.terms.task import TaskOptions, metric_names, num_substeps, observed, parts_of
+from core.environments.terms.task import (
+    TaskOptions,
+    metric_names,
+    num_substeps,
+    observed,
+    parts_of,
+    reported,
+)
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
 from core.environments.terms.vocabulary import AnyReward
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
@@ -37,10 +44,21 @@ _OF_THE_EPISODE = 7
 _OF_THE_GROUP = 100
 
 
+@dataclass(frozen=True)
+class TaskSettings:
+    """solver: for engines on which the solver is expensive; None: the model's own. aliases, reports_rewards:
+    see MujocoEnv."""
+
+    solver: SolverSettings | None
+    aliases: Mapping[str, str] = field(default_factory=dict[str, str])
+    reports_rewards: bool = True
+
+
 class TaskEnv(MujocoEnv):
     """Reward: the weighted sum of the terms. An episode ends when one of the termination terms says so.
 
     An action of ±1 is an end of a control's range; without a range, the action is the control itself.
+    settings: None: the solver's are those of the options.
     """
 
     def __init__(
@@ -50,7 +68,9 @@ class TaskEnv(MujocoEnv):
         spec: mujoco.MjSpec,
         model: mujoco.MjModel,
         build_engine: EngineBuilder,
+        settings: TaskSettings | None = None,
     ) -> None:
+        settings = settings or TaskSettings(_solver(options))
         root = model.body(options.root).id if options.root else root_of(model)
         start = _start(model, options)
         named = ModelIndex(model, root, start, feet_of(model, options.feet, start))
@@ -64,6 +84,7 @@ class TaskEnv(MujocoEnv):
         self._critic = None
         if options.critic is not None:
             self._critic = ObservationGroup(CRITIC_GROUP, options.critic, named, dt, is_exact=True)
+        self._is_scaled = not isinstance(options.action, ControlAction) or options.action.scaled
         self._targets = None
         if isinstance(options.action, JointPositionAction):
             self._targets = servo_targets(options.action, model, start)
@@ -71,17 +92,17 @@ class TaskEnv(MujocoEnv):
         height = height_of(model, start, root)
         ends = _default_ends(parts, height) if options.termination is None else options.termination
         self._ends = [bound(term, named) for term in ends]
-        where = () if named.free_joint(root) is not None else ("xpos",)
+        self._metrics = [bound(term, named) for term in reported(options)]
         read_by_feet = FIELDS if "foot_times" in self._memory else ()
         groups = [self._policy, *([self._critic] if self._critic else [])]
-        read = (part.derived for part in (*self._rewards, *groups, *self._ends))
-        fields = set(where).union(read_by_feet, *read)
-        accelerated = SolverSettings(
-            options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
-        )
-        engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=accelerated)
+        read = (part.derived for part in (*self._rewards, *groups, *self._ends, *self._metrics))
+        fields = set[str](read_by_feet).union(*read)
+        engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=settings.solver)
         super().__init__(model, engine, num_substeps=frames, observation_size=0, tracked_body=root)
+        self.aliases, self.reports_rewards = settings.aliases, settings.reports_rewards
         self.initial_qpos = jnp.asarray(start, jnp.float32)
+        if options.reset.lift and (free := named.free_joint(root)) is not None:
+            self.initial_qpos = self.initial_qpos.at[free + 2].add(options.reset.lift)
         self.initial_qvel, self.initial_act = _motion(model, options)
         self._spec, self._parts, self._inventory = spec, named, parts
         self._termination = ends
@@ -104,9 +125,11 @@ class TaskEnv(MujocoEnv):
             normal_velocity=reset.velocity_distribution == "normal",
         )
         nothing = jnp.zeros(self.action_size)
-        start = self._parts.position(physics, self.tracked_body)
-        step = Step(physics, physics, nothing, nothing, self.dt, jnp, start=start)
-        info: dict[str, jax.Array] = {"previous_action": nothing, "start": start}
+        start = self._parts.position(physics, self.tracked_body) if "start" in self._memory else None
+        step = Step(physics, physics, nothing, nothing, self.dt, jnp, start=start, control=nothing)
+        info = {} if start is None else {"start": start}
+        if "previous_action" in self._memory:
+            info["previous_action"] = nothing
         if self._is_random:
             info["key"] = jax.random.key_data(jax.random.fold_in(key, _OF_THE_EPISODE))
             info["steps"] = jnp.zeros((), jnp.int32)
@@ -131,14 +154,15 @@ class TaskEnv(MujocoEnv):
         if self._is_random:
             info["steps"] = info["steps"] + 1
         before = self._pushed(state.physics, info)
-        physics = self.engine.step(before, self._control(action))
-        previous = info["previous_action"]
-        start = info["start"]
-        step = Step(before, physics, action, previous, self.dt, jnp, info.get("command"), start=start)
-        info["previous_action"] = action
+        control = self._control(action)
+        physics = self.engine.step(before, control)
+        previous, start, command = (info.get(name) for name in ("previous_action", "start", "command"))
+        step = Step(before, physics, action, previous, self.dt, jnp, command, start=start, control=control)
+        if "previous_action" in self._memory:
+            info["previous_action"] = action
         if "earlier_action" in self._memory:
             step = replace(step, earlier_action=info["earlier_action"])
-            info["earlier_action"] = previous
+            info["earlier_action"] = step.previous_action
         if "foot_times" in self._memory:
             times, carried = foot_times.after(info, step, self._parts)
             info |= carried
@@ -153,7 +177,7 @@ class TaskEnv(MujocoEnv):
 
     def _control(self, action: jax.Array) -> jax.Array:
         if self._targets is None:
-            return scaled_to_control(self.model, action)
+            return scaled_to_control(self.model, action) if self._is_scaled else action
         offset, gain = map(jnp.asarray, self._targets)
         return offset + gain * action
 
@@ -204,7 +228,8 @@ class TaskEnv(MujocoEnv):
     def _ends_of_control(self) -> tuple[np.ndarray, np.ndarray]:
         """The controls [nu] for actions of −1 and 1."""
         if self._targets is None:
-            return control_range(self.model)
+            one = np.ones(self.action_size, np.float32)
+            return control_range(self.model) if self._is_scaled else (-one, one)
         offset, gain = self._targets
         return offset - gain, offset + gain
 
@@ -221,7 +246,7 @@ class TaskEnv(MujocoEnv):
                 for name, weight, term in zip(self._names, self._weights, self._rewards, strict=True)
             },
             done=jnp.max(jnp.stack(ended)) if ended else jnp.zeros(()),
-            metrics=self._of_the_body(step, info["start"]),
+            metrics={name: value for term in self._metrics for name, value in term.measure(step).items()},
             info={**info, **remembered},
         )
 
@@ -237,25 +262,11 @@ class TaskEnv(MujocoEnv):
         by_critic, its_entries = self._critic.seen(step, info, None)
         return {POLICY_GROUP: seen, CRITIC_GROUP: by_critic}, {**entries, **its_entries}
 
-    def _of_the_body(self, step: Step, start: jax.Array) -> dict[str, jax.Array]:
-        """The root's position and velocity, and how far it is from the command: m, m/s, rad/s."""
-        position = self._parts.position(step.after, self.tracked_body)
-        velocity = self._parts.velocity(step, self.tracked_body)
-        followed: dict[str, jax.Array] = {}
-        if step.command is not None:
-            moving = self._parts.base_linear_velocity(step)[:2]
-            followed["velocity_error"] = jnp.linalg.norm(moving - step.command[:2])
-            turning = self._parts.base_angular_velocity(step)[2]
-            followed["turn_error"] = jnp.abs(turning - step.command[2])
-        return {
-            **followed,
-            "x_position": position[0],
-            "y_position": position[1],
-            "height": position[2],
-            "x_velocity": velocity[0],
-            "y_velocity": velocity[1],
-            "distance_from_start": jnp.linalg.norm(position[:2] - start[:2]),
-        }
+
+def _solver(options: TaskOptions) -> SolverSettings:
+    return SolverSettings(
+        options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
+    )
 
 
 def _default_reward() -> list[AnyReward]:

@@ -1,99 +1,69 @@
 """A four-legged body that learns to run. Source: Schulman et al., 2015; rewards as in brax.envs.ant."""
 
-from collections.abc import Mapping
-from typing import ClassVar
+from typing import Literal
 
-import jax
-import jax.numpy as jnp
-import mujoco
+from pydantic import Field
 
-from core.environments import rewards
-from core.environments.environment import State
-from core.environments.locomotion.info import AntOptions
-from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
-from core.environments.numbers import Ends, Noise, numbers
-from core.environments.simulation import Simulation
-from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
-from core.physics.model import BRAX_SOLVER, brax_spec
-
-_NUM_SUBSTEPS = 5
+from core.documents import Strict
+from core.environments.locomotion.common import noisy, survival
+from core.environments.options import NoiseScale, Range, Weight
+from core.environments.terms.actions import ControlAction
+from core.environments.terms.metrics import Travel
+from core.environments.terms.observations import Qpos, Qvel
+from core.environments.terms.page import page
+from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
+from core.environments.terms.task import TaskOptions
+from core.environments.terms.terminations import OutsideHeightRange
+from core.physics.availability import Rule
 
 
-def make(options: AntOptions, build_engine: EngineBuilder) -> "Ant":
-    """The ant under these options, moved by the engine that `build_engine` makes."""
-    return Ant(options, build_engine)
+class AntOptions(Strict):
+    """Brax's options for the ant, under Brax's names and with its defaults."""
+
+    ctrl_cost_weight: Weight = Field(0.5, description="Cost of an action: this times its squared norm.")
+    use_contact_forces: Literal[False] = Field(False, description="Brax does not implement it either.")
+    contact_cost_weight: Weight = Field(5e-4, description="Without effect: contact forces are not used.")
+    healthy_reward: Weight = Field(1.0, description="Reward for each step.")
+    terminate_when_unhealthy: bool = True
+    healthy_z_range: Range = Field((0.2, 1.0), description="Healthy heights of the torso, in metres.")
+    contact_force_range: Range = Field((-1.0, 1.0), description="Without effect, as contact_cost_weight.")
+    reset_noise_scale: NoiseScale = Field(0.1, description="Noise on the initial positions and velocities.")
+    exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
 
 
-def _spec() -> mujoco.MjSpec:
-    """Brax's ant with MuJoCo's own limit of 100 solver iterations. Its file allows 4, which was too few in
-    1 of 200 steps of a running ant; it stumbled there. Most steps make 1 to 3."""
-    spec = brax_spec("ant")
-    spec.option.iterations = 100
-    return spec
+def _task(options: AntOptions) -> TaskOptions:
+    survive, ends = survival(options, "survive", [OutsideHeightRange(range=options.healthy_z_range)])
+    hides = options.exclude_current_positions_from_observation
+    return TaskOptions(
+        reward=[
+            ForwardVelocity(name="forward"),
+            survive,
+            ControlCost(weight=options.ctrl_cost_weight, name="ctrl"),
+            # Brax has the term, and no contact forces for it.
+            Alive(weight=0.0, name="contact"),
+        ],
+        observation=[Qpos(root_position="height" if hides else "all"), Qvel()],
+        termination=ends,
+        metrics=[Travel()],
+        action=ControlAction(scaled=False),
+        reset=noisy(options.reset_noise_scale, "normal"),
+        n_frames=5,
+    )
 
 
-class Ant(MujocoEnv):
-    """Reward: forward speed + being alive - the action's cost. Ends when the torso is too low or too high."""
-
+ANT = page(
+    "ant",
+    "core.environments.locomotion.model:ant",
+    _task,
+    AntOptions,
+    description="A four-legged body with eight motors, rewarded for running in +x and staying up.",
     # Brax reports the term under both names.
-    aliases: ClassVar[Mapping[str, str]] = {"forward_reward": "reward_forward"}
-
-    def __init__(self, options: AntOptions, build_engine: EngineBuilder) -> None:
-        model = _spec().compile()
-        engine = build_engine(model, _NUM_SUBSTEPS, (), accelerated=BRAX_SOLVER)
-        hidden = 2 if options.exclude_current_positions_from_observation else 0
-        super().__init__(
-            model,
-            engine,
-            num_substeps=_NUM_SUBSTEPS,
-            observation_size=model.nq - hidden + model.nv,
-            tracked_body="torso",
-        )
-        self._options = options
-        self._num_hidden = hidden
-
-    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
-        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=True)
-        return initial(self._after(physics, physics, jnp.zeros(self.action_size), {}))
-
-    def step(self, state: State, action: jax.Array) -> State:
-        physics = self.engine.step(state.physics, action)
-        return self._after(state.physics, physics, action, state.info)
-
-    def simulation(self) -> Simulation:
-        options, scale = self._options, self._options.reset_noise_scale
-        height = Ends(numbers("qpos", [2]), *options.healthy_z_range)
-        return self.simulated(
-            _spec(),
-            observation=[
-                numbers("qpos", range(self._num_hidden, self.model.nq)),
-                numbers("qvel", range(self.model.nv)),
-            ],
-            noise=Noise(scale, scale, is_normal=True),
-            ends=[height] if options.terminate_when_unhealthy else [],
-        )
-
-    def _after(
-        self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
-    ) -> State:
-        options = self._options
-        torso = physics.qpos[:3]
-        velocity = rewards.velocity(before.qpos[:3], torso, self.dt)
-        healthy = rewards.height_range(torso[2], options.healthy_z_range)
-        survives, done = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
-        return self.stepped(
-            physics,
-            self._observe(physics),
-            rewards={
-                "reward_forward": velocity[0],
-                "reward_survive": options.healthy_reward * survives,
-                "reward_ctrl": -options.ctrl_cost_weight * rewards.control_cost(action),
-                "reward_contact": jnp.zeros(()),  # Brax has the term, and no contact forces for it.
-            },
-            done=done,
-            metrics=travel(torso, velocity),
-            info=info,
-        )
-
-    def _observe(self, physics: PhysicsState) -> jax.Array:
-        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel])
+    reports={"aliases": {"forward_reward": "reward_forward"}},
+    on_a_cpu=(
+        Rule("compiled", 1, "Measured on two cores: physics 24 × that of native; 1.8 × for one environment."),
+    ),
+    on_a_gpu=(
+        Rule("compiled", 1, "Measured on an H200: 46 M control steps/s of physics, 1.93 M by warp."),
+        Rule("warp", 1024, "Measured on an H200: 1.23 M training steps/s, 0.99 M by mjx."),
+    ),
+)

@@ -1,78 +1,55 @@
 """A planar two-legged body that learns to run. Rewards as in brax.envs.half_cheetah."""
 
-from collections.abc import Mapping
+from pydantic import Field
 
-import jax
-import jax.numpy as jnp
-
-from core.environments import rewards
-from core.environments.environment import State
-from core.environments.locomotion.info import HalfCheetahOptions
-from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
-from core.environments.numbers import Noise, numbers
-from core.environments.simulation import Simulation
-from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
-from core.physics.model import brax_model, brax_spec
-
-_NUM_SUBSTEPS = 5
+from core.documents import Strict
+from core.environments.locomotion.common import noisy
+from core.environments.options import NoiseScale, Weight
+from core.environments.terms.actions import ControlAction
+from core.environments.terms.metrics import Travel
+from core.environments.terms.observations import Qpos, Qvel
+from core.environments.terms.page import page
+from core.environments.terms.rewards import ControlCost, ForwardVelocity
+from core.environments.terms.task import TaskOptions
+from core.physics.availability import Rule
 
 
-def make(options: HalfCheetahOptions, build_engine: EngineBuilder) -> "HalfCheetah":
-    """The half cheetah under these options, moved by the engine that `build_engine` makes."""
-    return HalfCheetah(options, build_engine)
+class HalfCheetahOptions(Strict):
+    """Brax's options for the half cheetah, under Brax's names and with its defaults."""
+
+    forward_reward_weight: Weight = Field(1.0, description="Reward for each metre per second in +x.")
+    ctrl_cost_weight: Weight = Field(0.1, description="Cost of an action: this times its squared norm.")
+    reset_noise_scale: NoiseScale = Field(0.1, description="Noise on the initial positions and velocities.")
+    exclude_current_positions_from_observation: bool = Field(True, description="Hide x.")
 
 
-class HalfCheetah(MujocoEnv):
-    """Reward: forward speed - the action's cost. It never terminates."""
+def _task(options: HalfCheetahOptions) -> TaskOptions:
+    hidden = ["rootx"] if options.exclude_current_positions_from_observation else None
+    return TaskOptions(
+        reward=[
+            ForwardVelocity(weight=options.forward_reward_weight, name="run"),
+            ControlCost(weight=options.ctrl_cost_weight, name="ctrl"),
+        ],
+        observation=[Qpos(without=hidden), Qvel()],
+        termination=[],
+        metrics=[Travel(report=["x_position", "x_velocity"])],
+        action=ControlAction(scaled=False),
+        reset=noisy(options.reset_noise_scale, "normal"),
+        n_frames=5,
+    )
 
-    def __init__(self, options: HalfCheetahOptions, build_engine: EngineBuilder) -> None:
-        model = brax_model("half_cheetah")
-        hidden = 1 if options.exclude_current_positions_from_observation else 0
-        super().__init__(
-            model,
-            build_engine(model, _NUM_SUBSTEPS, ()),
-            num_substeps=_NUM_SUBSTEPS,
-            observation_size=model.nq - hidden + model.nv,
-            tracked_body="torso",
-        )
-        self._options = options
-        self._num_hidden = hidden
 
-    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
-        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=True)
-        return initial(self._after(physics, physics, jnp.zeros(self.action_size), {}))
-
-    def step(self, state: State, action: jax.Array) -> State:
-        physics = self.engine.step(state.physics, action)
-        return self._after(state.physics, physics, action, state.info)
-
-    def simulation(self) -> Simulation:
-        scale = self._options.reset_noise_scale
-        return self.simulated(
-            brax_spec("half_cheetah"),
-            observation=[
-                numbers("qpos", range(self._num_hidden, self.model.nq)),
-                numbers("qvel", range(self.model.nv)),
-            ],
-            noise=Noise(scale, scale, is_normal=True),
-            ends=[],
-        )
-
-    def _after(
-        self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
-    ) -> State:
-        velocity = rewards.velocity(before.qpos[0], physics.qpos[0], self.dt)
-        return self.stepped(
-            physics,
-            self._observe(physics),
-            rewards={
-                "reward_run": self._options.forward_reward_weight * velocity,
-                "reward_ctrl": -self._options.ctrl_cost_weight * rewards.control_cost(action),
-            },
-            done=jnp.zeros(()),
-            metrics={"x_position": physics.qpos[0], "x_velocity": velocity},
-            info=info,
-        )
-
-    def _observe(self, physics: PhysicsState) -> jax.Array:
-        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel])
+HALF_CHEETAH = page(
+    "half_cheetah",
+    "core.environments.locomotion.model:plain",
+    _task,
+    HalfCheetahOptions,
+    description="A two-legged body in a plane with six motors, rewarded for running in +x.",
+    on_a_cpu=(
+        Rule("compiled", 1, "Measured on two cores: physics 11 × that of native; 1.7 × for one environment."),
+    ),
+    on_a_gpu=(
+        Rule("compiled", 1, "Measured on an H200: 15.6 M control steps/s of physics, 1.12 M by warp."),
+        Rule("warp", 1024, "Measured on an H200: 597 k training steps/s, 87 k by mjx."),
+    ),
+)

@@ -1,68 +1,32 @@
 """A pole balanced on a cart. Source: Barto et al., 1983; rewards as in brax.envs.inverted_pendulum."""
 
-from collections.abc import Mapping
-
-import jax
-import jax.numpy as jnp
-
-from core.environments.environment import State
 from core.environments.info import NoOptions
-from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
-from core.environments.numbers import Ends, Noise, numbers
-from core.environments.simulation import Simulation
-from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
-from core.physics.model import brax_model, brax_spec
-
-_NUM_SUBSTEPS = 2
-_NOISE = 0.01
-_LARGEST_TILT = 0.2  # radians
+from core.environments.locomotion.common import noisy
+from core.environments.terms.page import page
+from core.environments.terms.rewards import Alive
+from core.environments.terms.task import TaskOptions
+from core.environments.terms.terminations import OutsideJointRange
+from core.physics.availability import Rule
 
 
-def make(options: NoOptions, build_engine: EngineBuilder) -> "InvertedPendulum":
-    """The inverted pendulum, moved by the engine that `build_engine` makes."""
-    return InvertedPendulum(build_engine)
+def _task(_: NoOptions) -> TaskOptions:
+    return TaskOptions(
+        reward=[Alive()],
+        # Brax bounds the hinge's angle, in radians.
+        termination=[OutsideJointRange(joints=["hinge"], range=(-0.2, 0.2))],
+        metrics=[],
+        reset=noisy(0.01),
+        n_frames=2,
+    )
 
 
-class InvertedPendulum(MujocoEnv):
-    """Reward: 1 for each step. Ends when the pole tilts too far."""
-
+INVERTED_PENDULUM = page(
+    "inverted_pendulum",
+    "core.environments.locomotion.model:plain",
+    _task,
+    NoOptions,
+    description="A pole on a cart with one motor, rewarded for each step in which the pole stands.",
     # As in Brax: there is one term, which is the reward itself.
-    reports_rewards = False
-
-    def __init__(self, build_engine: EngineBuilder) -> None:
-        model = brax_model("inverted_pendulum")
-        super().__init__(
-            model,
-            build_engine(model, _NUM_SUBSTEPS, ()),
-            num_substeps=_NUM_SUBSTEPS,
-            observation_size=model.nq + model.nv,
-            tracked_body="cart",
-        )
-
-    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
-        physics = noisy_start(self, key, model, _NOISE, normal_velocity=False)
-        return initial(self._after(physics, {}))
-
-    def step(self, state: State, action: jax.Array) -> State:
-        physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
-        return self._after(physics, state.info)
-
-    def simulation(self) -> Simulation:
-        tilt = numbers("qpos", [1])
-        return self.simulated(
-            brax_spec("inverted_pendulum"),
-            observation=[numbers("qpos", range(self.model.nq)), numbers("qvel", range(self.model.nv))],
-            noise=Noise(_NOISE, _NOISE, is_normal=False),
-            ends=[Ends(tilt, -_LARGEST_TILT, _LARGEST_TILT)],
-            control_range=control_range(self.model),
-        )
-
-    def _after(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> State:
-        # Not rewards.upright, a cosine: Brax bounds the hinge's angle.
-        done = jnp.where(jnp.abs(physics.qpos[1]) > _LARGEST_TILT, 1.0, 0.0)
-        alive = {"reward_alive": jnp.ones(())}
-        return self.stepped(physics, _observe(physics), rewards=alive, done=done, metrics={}, info=info)
-
-
-def _observe(physics: PhysicsState) -> jax.Array:
-    return jnp.concatenate([physics.qpos, physics.qvel])
+    reports={"reports_rewards": False},
+    on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 1.54 M training steps/s, 635 k by mjx."),),
+)

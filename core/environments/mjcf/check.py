@@ -24,7 +24,7 @@ from core.environments.terms.task import (
     parts_of,
 )
 from core.environments.terms.term import Need, OfBodyContact, Term, whole_steps
-from core.environments.terms.terminations import Touching
+from core.environments.terms.terminations import OutsideJointRange, Touching
 from core.errors import Problem
 from core.nearest import nearest
 
@@ -191,10 +191,12 @@ _NEEDED: dict[Need, str] = {
 
 def _terms(options: TaskOptions) -> Iterator[tuple[str, Term]]:
     """All terms, with their pointers."""
-    for field in ("reward", "observation", "critic", "termination"):
+    for field in ("reward", "observation", "critic", "termination", "metrics"):
         terms: Sequence[Term] = getattr(options, field) or ()
         for number, term in enumerate(terms):
-            yield f"{_OPTIONS}/{field}/{number}", term
+            here = f"{_OPTIONS}/{field}/{number}"
+            yield here, term
+            yield from ((f"{here}/unless/{place}", inner) for place, inner in enumerate(term.inner))
 
 
 def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
@@ -210,8 +212,10 @@ def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
             ]
         if isinstance(term, OfBodyContact):
             yield from unmatched(term.bodies, parts.touching, _TOUCHING, f"{here}/bodies")
-        if isinstance(term, JointPositions | JointVelocities):
+        if isinstance(term, JointPositions | JointVelocities | OutsideJointRange):
             yield from unmatched(term.joints or (), joints, _JOINT, f"{here}/joints")
+        if isinstance(term, Qpos):
+            yield from unmatched(term.without or (), joints, _JOINT, f"{here}/without")
     if isinstance(options.action, JointPositionAction) and isinstance(options.action.scale, dict):
         tables.append((f"{_OPTIONS}/action/scale", options.action.scale))
     for pointer, patterns in tables:
@@ -262,7 +266,7 @@ def _of_randomized(term: Randomized, pointer: str, parts: _Parts) -> Iterator[Pr
 
 def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:
     for field, kind in _NAMING.items():
-        if field == "joints" and isinstance(term, JointPositions | JointVelocities):
+        if field == "joints" and isinstance(term, JointPositions | JointVelocities | OutsideJointRange):
             continue  # These are patterns.
         if field == "bodies" and isinstance(term, OfBodyContact):
             continue

@@ -13,6 +13,9 @@ class ControlAction(Strict):
     """±1 is an end of a control's range; without a range, the action is the control itself."""
 
     kind: Literal["control"] = "control"
+    scaled: bool = Field(
+        default=True, description="false: the action is the control itself, whatever the range."
+    )
 
 
 class JointPositionAction(Strict):

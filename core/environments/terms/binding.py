@@ -41,6 +41,7 @@ def bound(term: Term, model: ModelIndex) -> BoundTerm:
         start=np.zeros(3),
         foot_times=FootTimes(*[each_foot] * 5),
         earlier_action=nothing,
+        control=nothing,
     )  # fmt: skip
     size = np.size(term.measure(step, model))
     return BoundTerm(frozenset(derived.read), size, lambda step: term.measure(step, model))

@@ -96,8 +96,11 @@ class Inventory(Stored):
 
     @property
     def acting(self) -> list[str]:
-        """The actuators' names; by number where they have none."""
-        return [actuator.name or f"actuator {number}" for number, actuator in enumerate(self.actuators)]
+        """The actuators' names, or those of their joints; by number where they have none."""
+        return [
+            actuator.name or actuator.joint or f"actuator {number}"
+            for number, actuator in enumerate(self.actuators)
+        ]
 
     def names(self, kind: Kind) -> list[str]:
         """The names of a kind of parts; only of joints that have a range."""

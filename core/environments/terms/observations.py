@@ -7,12 +7,20 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field
 
 from core.environments import bodies
-from core.environments.bodies import CINERT, CVEL, Body, JointType
+from core.environments.bodies import CINERT, CVEL, MATRIX_AND_MASS, Body, JointType
 from core.environments.info import Slice, named
-from core.environments.numbers import PREVIOUS_ACTION, NotSimulated, Numbers, numbers, rows
+from core.environments.numbers import (
+    PREVIOUS_ACTION,
+    SHARE_VELOCITY,
+    NotSimulated,
+    Numbers,
+    numbers,
+    rows,
+)
+from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms.inventory import Inventory, ModelParts, Sensor
 from core.environments.terms.sensed import Sensed, as_measured
-from core.environments.terms.term import DELAY, Array, Delay, Names, OfBodies, Term
+from core.environments.terms.term import DELAY, Array, Delay, Names, OfBodies, OfBody, Term
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -85,7 +93,17 @@ class ObservationTerm(Term):
         for age in reversed(range(self.history)):
             of_the_past = f" t-{age}" if age else ""
             for part in self.slices(parts):
-                yield replace(part, components=tuple(f"{name}{of_the_past}" for name in part.components))
+                components = tuple(f"{name}{of_the_past}" for name in part.components)
+                low, high = self._bounds(part)
+                yield replace(part, low=low, high=high, components=components)
+
+    def _bounds(self, part: Slice) -> tuple[float | None, float | None]:
+        """Those of what is seen of these numbers."""
+        low, high = (None if end is None else self.scale * end for end in (part.low, part.high))
+        if self.clip is not None:
+            low = -self.clip if low is None else max(low, -self.clip)
+            high = self.clip if high is None else min(high, self.clip)
+        return low, high
 
     def numbers(self, model: "ModelIndex") -> Numbers:
         """Where they are in MuJoCo's arrays. Raises NotSimulated where they are no part of them."""
@@ -125,9 +143,10 @@ class ObservationTerm(Term):
         if seen.array == PREVIOUS_ACTION:
             return step.action
         after = step.after
-        values = getattr(after, seen.array) if seen.array in _OF_A_STATE else after.derived[seen.array]
-        chosen = values.ravel()[step.places(seen.places)]
-        return chosen - values.ravel()[step.places(seen.less)] if seen.less else chosen
+        array = getattr(after, seen.array) if seen.array in _OF_A_STATE else after.derived[seen.array]
+        values = array.ravel()
+        chosen = values[step.places(seen.places)]
+        return chosen - values[step.places(seen.less)] if seen.less else chosen
 
 
 class _BodyNumbers(OfBodies, ObservationTerm):
@@ -136,6 +155,7 @@ class _BodyNumbers(OfBodies, ObservationTerm):
     array: ClassVar[str]
     parts: ClassVar[Sequence[str]]
     unit: ClassVar[str]
+    label: ClassVar[str | None] = None
 
     def size(self, parts: ModelParts) -> int:
         number = parts.model.sizes.nbody if self.bodies is None else len(self.bodies)
@@ -143,7 +163,7 @@ class _BodyNumbers(OfBodies, ObservationTerm):
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
         number = parts.model.sizes.nbody - 1
-        name: str = getattr(self, "kind")  # noqa: B009 Each of these classes has one.
+        name = self.label or str(getattr(self, "kind"))  # noqa: B009 Each of these classes has one.
         all_named = [body for body in parts.model.bodies if body != "world"]
         if self.bodies is None and len(all_named) != number:  # One has no name.
             yield Slice(name, 0, number * len(self.parts), self.unit)
@@ -163,6 +183,9 @@ class Qpos(ObservationTerm):
         description="Which of x, y and z of the root's free joint to include; null: the height. A model "
         "without a free joint keeps all positions.",
     )
+    without: Patterns | None = Field(
+        default=None, description=f"Hinges and slides to leave out; null: none. {PATTERNS}"
+    )
 
     def size(self, parts: ModelParts) -> int:
         return parts.model.sizes.nq
@@ -171,17 +194,20 @@ class Qpos(ObservationTerm):
         return bodies.qpos(_joints(parts.model), self._hidden(parts))
 
     def numbers(self, model: "ModelIndex") -> Numbers:
-        return numbers("qpos", model.visible_positions(self._num_hidden))
+        return numbers("qpos", model.visible_positions(self._num_hidden, self.without))
 
     @property
     def _num_hidden(self) -> int:
         """How many of the root's x, y and z are left out."""
         return {"all": 0, "none": 3}.get(self.root_position or "", 2)
 
-    def _hidden(self, parts: ModelParts) -> range:
+    def _hidden(self, parts: ModelParts) -> list[int]:
         free = [joint for joint in parts.model.joints if joint.type == "free" and joint.body == parts.root]
-        start = free[0].qpos_start if free else 0
-        return range(start, start + self._num_hidden) if free else range(0)
+        others = parts.model.moving_joints(self.without) if self.without else []
+        return [
+            *(free[0].qpos_start + place for place in range(self._num_hidden) if free),
+            *(joint.qpos_start for joint in others),
+        ]
 
 
 class Qvel(ObservationTerm):
@@ -197,6 +223,24 @@ class Qvel(ObservationTerm):
 
     def numbers(self, model: "ModelIndex") -> Numbers:
         return numbers("qvel", range(model.model.nv))
+
+
+class Height(OfBody, ObservationTerm):
+    """How high a body is above the world's origin, in m."""
+
+    kind: Literal["height"] = "height"
+
+    def size(self, parts: ModelParts) -> int:
+        return 1
+
+    def slices(self, parts: ModelParts) -> Iterable[Slice]:
+        yield named("height", (f"{self.body or parts.root} height",), "m")
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        return model.height(model.body(self.body))
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return model.position(step.after, model.body(self.body))[2:]
 
 
 class PreviousAction(ObservationTerm):
@@ -292,6 +336,37 @@ class Cinert(_BodyNumbers):
     kind: Literal["cinert"] = "cinert"
 
 
+class BodyInertias(_BodyNumbers):
+    """`cinert` as matrices: of each body the inertia row by row, then its mass. As in Brax's humanoid."""
+
+    array, parts, unit, label = "cinert", MATRIX_AND_MASS, "kg m², kg", "inertia"
+
+    kind: Literal["body_inertias"] = "body_inertias"
+
+    def numbers(self, model: "ModelIndex") -> Numbers:
+        columns = [CINERT.index(part) for part in self.parts]
+        return rows(self.array, model.bodies(self.bodies).tolist(), len(CINERT), columns)
+
+
+class ShareVelocities(_BodyNumbers):
+    """Velocities of bodies: that of its own centre of mass times the body's share of all masses, in m/s, then
+    the angular velocity, in rad/s. As in Brax's humanoid."""
+
+    array, parts, unit, label = SHARE_VELOCITY, (*CVEL[3:], *CVEL[:3]), "m/s, rad/s", "velocity"
+
+    kind: Literal["share_velocities"] = "share_velocities"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        physics, own = step.after, slice(1, None)
+        # cinert holds the mass times the offset from the tree's centre of mass, at which cvel is taken.
+        moment = physics.derived["cinert"][own, 6:9]
+        masses = physics.model.get("body_mass", step.array(model.model.body_mass))[own, None]
+        angular, linear = physics.derived["cvel"][own, :3], physics.derived["cvel"][own, 3:]
+        linear = linear + step.xp.cross(angular, moment / masses)
+        seen = step.xp.concatenate([linear * (masses / masses.sum()), angular], axis=1)
+        return (seen if self.bodies is None else seen[model.bodies(self.bodies) - 1]).ravel()
+
+
 class ActuatorForces(ObservationTerm):
     """The actuators' forces on each degree of freedom in the last physics step, in N or N m."""
 
@@ -310,6 +385,7 @@ class ActuatorForces(ObservationTerm):
 NumbersOfMujoco = (
     Qpos
     | Qvel
+    | Height
     | PreviousAction
     | Activation
     | Sensors
@@ -317,6 +393,8 @@ NumbersOfMujoco = (
     | BodyOrientations
     | Cvel
     | Cinert
+    | BodyInertias
+    | ShareVelocities
     | ActuatorForces
 )
 

@@ -4,11 +4,14 @@ Names and forms are common to locomotion tasks: Brax and Gymnasium (forward velo
 legged_gym and MuJoCo Playground (velocity tracking, action rate, energy, joint limits).
 """
 
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from core.bounds import Real
+from core.environments.terms.inventory import ModelParts
+from core.environments.terms.readings import Reading
 from core.environments.terms.term import (
     Array,
     CostTerm,
@@ -21,9 +24,11 @@ from core.environments.terms.term import (
     OfContact,
     OfHeight,
     RewardTerm,
+    Term,
     Vector,
     unit_vector,
 )
+from core.environments.terms.terminations import AnyTermination
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -38,12 +43,17 @@ class ForwardVelocity(OfBody, RewardTerm):
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         body = model.body(self.body)
-        if self.of == "body":
-            velocity = model.velocity(step, body)
-        else:
-            before, after = (one.derived["subtree_com"][body] for one in (step.before, step.after))
-            velocity = (after - before) / step.dt
+        before, after = (model.place(physics, body, self.of) for physics in (step.before, step.after))
+        velocity = (after - before) / step.dt
+        if (axis := self._axis) is not None:  # The same number as by the product, and faster.
+            return velocity[axis] if self.direction[axis] > 0 else -velocity[axis]
         return step.xp.dot(velocity, unit_vector(self.direction, step))
+
+    @property
+    def _axis(self) -> int | None:
+        """The world's axis that the direction lies along."""
+        along = [axis for axis, part in enumerate(self.direction) if part]
+        return along[0] if len(along) == 1 else None
 
 
 class VelocityTracking(OfBody, RewardTerm):
@@ -95,13 +105,32 @@ class Alive(RewardTerm):
         return step.xp.ones(())
 
 
-class ControlCost(CostTerm):
-    """Σ a²: the action's squared norm."""
+class Healthy(RewardTerm):
+    """1 where none of these terms would end an episode, otherwise 0."""
 
-    kind: Literal["control_cost"] = "control_cost"
+    kind: Literal["healthy"] = "healthy"
+    unless: list[AnyTermination] = Field(min_length=1, max_length=64, description="Terms of `termination`.")
+
+    @property
+    def inner(self) -> Sequence[Term]:
+        return self.unless
+
+    def readings(self, parts: ModelParts) -> Iterable[Reading]:
+        return [reading for term in self.unless for reading in term.readings(parts)]
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
-        return step.xp.sum(step.action**2)
+        ended = step.xp.stack([term.measure(step, model) for term in self.unless])
+        return 1.0 - step.xp.max(ended)
+
+
+class ControlCost(CostTerm):
+    """Σ a²: the squared norm of the action, or of the control that it sets."""
+
+    kind: Literal["control_cost"] = "control_cost"
+    of: Literal["action", "control"] = "action"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.xp.sum((step.action if self.of == "action" else step.control) ** 2)
 
 
 class Energy(CostTerm):
@@ -128,6 +157,8 @@ class ElectricalPower(CostTerm):
 class ActionRate(CostTerm):
     """Σ (aₜ − aₜ₋₁)²: the squared norm of the action's change since the last step."""
 
+    remembers = frozenset({"previous_action"})
+
     kind: Literal["action_rate"] = "action_rate"
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
@@ -141,7 +172,7 @@ class ActionAcceleration(CostTerm):
     Source: mjlab's `action_acc_l2`; the second difference of actions in Playground's smoothness costs.
     """
 
-    remembers = frozenset({"earlier_action"})
+    remembers = frozenset({"earlier_action", "previous_action"})
 
     kind: Literal["action_acceleration"] = "action_acceleration"
 
@@ -216,6 +247,7 @@ CommonReward = (
     | Upright
     | HeightRange
     | Alive
+    | Healthy
     | ControlCost
     | Energy
     | ElectricalPower

@@ -3,12 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
+from core.environments.body_position import free_joint_of, slides_of
 from core.environments.model_rows import object_names, rows_of
+from core.environments.numbers import Numbers, numbers
 from core.environments.patterns import by_name, matching
 from core.environments.randomization import FIELDS, FieldName
 from core.environments.terms.describe import touchable
@@ -27,10 +29,11 @@ class Step:
     """before, after: the physics before and after it, a `PhysicsState` or what has its fields. action,
     previous_action: [nu], each in [-1, 1]; the latter is zero in an episode's first step. dt: its duration
     in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`. command: [3], as
-    `VelocityCommand` has it; None without one. phases: of the gait's clock, [feet] in rad. start: the root's
-    position [3] at the episode's start, in m.
+    `VelocityCommand` has it; None without one. phases: of the gait's clock, [feet] in rad. control: [nu],
+    what the action set.
 
-    For terms that remember them: foot_times; earlier_action: [nu], the one before the previous one.
+    For terms that remember them: previous_action; start: the root's position [3] at the episode's start, in
+    m; foot_times; earlier_action: [nu], the one before the previous one.
     """
 
     before: Any
@@ -44,6 +47,7 @@ class Step:
     start: Array = None
     foot_times: FootTimes | None = None
     earlier_action: Array = None
+    control: Array = None
 
     @property
     def is_moving(self) -> Array:
@@ -69,8 +73,10 @@ class Step:
         """[n] float32."""
         return self.xp.asarray(values, self.xp.float32)
 
-    def places(self, numbers: Sequence[int]) -> np.ndarray:
-        """Indices of an array."""
+    def places(self, numbers: Sequence[int]) -> np.ndarray | slice:
+        """Indices of an array; a slice where they follow each other, which costs less."""
+        if numbers and list(numbers) == list(range(numbers[0], numbers[0] + len(numbers))):
+            return slice(numbers[0], numbers[0] + len(numbers))
         return np.array(numbers, int)
 
 
@@ -147,25 +153,39 @@ class ModelIndex:
 
     def free_joint(self, body: int) -> int | None:
         """The first index of the body's free joint in qpos; None if it has none."""
-        first = int(self.model.body_jntadr[body])
-        if first < 0 or self.model.jnt_type[first] != mujoco.mjtJoint.mjJNT_FREE:
-            return None
-        return int(self.model.jnt_qposadr[first])
+        return free_joint_of(self.model, body)
 
     def position(self, physics: Any, body: int) -> Array:
         """The body's position [3], in metres."""
-        start = self.free_joint(body)
-        return physics.derived["xpos"][body] if start is None else physics.qpos[start : start + 3]
+        if (start := self.free_joint(body)) is not None:
+            return physics.qpos[start : start + 3]
+        slides = slides_of(self.model, body)
+        return physics.derived["xpos"][body] if slides is None else slides.position(physics.qpos)
+
+    def place(self, physics: Any, body: int, of: Literal["body", "centre_of_mass"]) -> Array:
+        """Where the body, or its subtree's centre of mass, is, [3] in m."""
+        return self.position(physics, body) if of == "body" else physics.derived["subtree_com"][body]
+
+    def height(self, body: int) -> Numbers:
+        """Where `position`'s z is."""
+        if (start := self.free_joint(body)) is not None:
+            return numbers("qpos", [start + 2])
+        slides = slides_of(self.model, body)
+        if slides is None or (rail := slides.upright) is None:
+            return numbers("xpos", [3 * body + 2])
+        return numbers("qpos", [slides.start + rail], add=float(slides.origin[2]))
 
     def velocity(self, step: Step, body: int) -> Array:
         """(p' − p) / dt [3] in m/s, along the world's axes."""
         return (self.position(step.after, body) - self.position(step.before, body)) / step.dt
 
-    def visible_positions(self, num_hidden: int) -> np.ndarray:
-        """Places in qpos, without the first `num_hidden` of the root's free joint if it has one."""
+    def visible_positions(self, num_hidden: int, without: Sequence[str] | None = None) -> np.ndarray:
+        """Places in qpos, without the first `num_hidden` of the root's free joint if it has one, and without
+        the hinges and slides that one of these patterns matches."""
         start = self.free_joint(self.root)
-        hidden = np.arange(num_hidden) + start if start is not None else []
-        return np.setdiff1d(np.arange(self.model.nq), hidden)
+        hidden = np.arange(num_hidden) + start if start is not None else np.array([], int)
+        others = self.joint_positions(without) if without else np.array([], int)
+        return np.setdiff1d(np.arange(self.model.nq), np.concatenate([hidden, others]))
 
     def limited_joints(self, names: list[str] | None) -> np.ndarray:
         """Numbers of these joints; if None, of all hinges and slides that have a range."""

@@ -13,6 +13,7 @@ from core.environments.patterns import PATTERNS, Pattern, matching_in_turn
 from core.environments.terms.actions import AnyAction, ControlAction, JointPositionAction
 from core.environments.terms.commands import GaitClock, Push, VelocityCommand
 from core.environments.terms.inventory import Actuator, Inventory, ModelParts
+from core.environments.terms.metrics import AnyMetric, DistanceFromStart, FollowedCommand, Travel
 from core.environments.terms.observations import ObservationTerm, Qpos, Qvel, Sensors
 from core.environments.terms.readings import Reading
 from core.environments.terms.term import Memory, Name, Term
@@ -28,6 +29,7 @@ Rewards = Annotated[list[AnyReward], Field(min_length=1, max_length=64)] | None
 Observations = Annotated[list[AnyObservation], Field(min_length=1, max_length=64)] | None
 Critic = Annotated[list[AnyCriticObservation], Field(min_length=1, max_length=64)] | None
 Terminations = Annotated[list[AnyTermination], Field(max_length=64)] | None
+Metrics = Annotated[list[AnyMetric], Field(max_length=16)] | None
 Feet = Annotated[list[Pattern], Field(max_length=MOST_FEET)]
 Events = Annotated[list[Push], Field(max_length=16)]
 
@@ -42,6 +44,9 @@ class Reset(Strict):
     )
     qpos: Annotated[list[Real], Field(min_length=1, max_length=MOST_ITEMS)] | None = Field(
         default=None, description="Initial positions, in MuJoCo's order."
+    )
+    lift: NoiseScale = Field(
+        default=0.0, description="How much higher a root with a free joint begins, in m."
     )
     position_noise: NoiseScale = Field(default=0.01, description="Uniform in ± this: m, rad.")
     velocity_noise: NoiseScale = Field(default=0.01, description="See velocity_distribution: m/s, rad/s.")
@@ -80,6 +85,11 @@ class TaskOptions(Strict):
         default=None,
         description="Terms, any of which ends the episode; null: for a body that can travel, height_range "
         "from 0.4 to 2 times its initial height.",
+    )
+    metrics: Metrics = Field(
+        default=None,
+        description="What each step reports besides the reward's terms; null: the root's travel, its "
+        "distance from the start, and how far it is from the command.",
     )
     action: AnyAction = Field(default=ControlAction(), description="How an action becomes controls.")
     command: VelocityCommand | None = Field(
@@ -123,7 +133,7 @@ class TaskOptions(Strict):
     def terms(self) -> list[Term]:
         """All that it gives."""
         seen = (*(self.observation or ()), *(self.critic or ()))
-        return [*(self.reward or ()), *seen, *(self.termination or ())]
+        return [*(self.reward or ()), *seen, *(self.termination or ()), *reported(self)]
 
     def readings(self, model: Inventory) -> list[Reading]:
         """What the terms read of contacts. model: of the body."""
@@ -132,8 +142,11 @@ class TaskOptions(Strict):
 
     @property
     def memory(self) -> frozenset[Memory]:
-        """What is carried from step to step."""
-        return frozenset[Memory]().union(*(term.remembers for term in self.terms))
+        """What is carried from step to step; for tasks that name no metrics always the previous action, which
+        their checkpoints hold."""
+        always: tuple[Memory, ...] = ("previous_action",) if self.metrics is None else ()
+        parts = (part for term in self.terms for part in (term, *term.inner))
+        return frozenset[Memory](always).union(*(part.remembers for part in parts))
 
     @property
     def sensors(self) -> list[str] | None:
@@ -150,7 +163,7 @@ def metric_names(terms: Sequence[AnyReward]) -> list[str]:
     return [f"reward_{term.name or term.kind}" for term in terms]
 
 
-def task_slices(options: TaskOptions, model: Inventory) -> Spaces:
+def task_slices(options: TaskOptions, model: Inventory, unit_of_action: str | None = None) -> Spaces:
     """The numbers of the observations and of the action. model: of the body."""
     parts = parts_of(options, model)
     seen, by_critic = (
@@ -158,7 +171,7 @@ def task_slices(options: TaskOptions, model: Inventory) -> Spaces:
         for terms in (observed(options), options.critic or ())
     )
     acts = [
-        named(name, (name,), None, *_ends(options, actuator))
+        named(name, (name,), unit_of_action, *_ends(options, actuator))
         for name, actuator in zip(model.acting, model.actuators, strict=True)
     ]
     return Spaces(in_order(seen), in_order(acts), in_order(by_critic))
@@ -173,6 +186,8 @@ def _ends(options: TaskOptions, actuator: Actuator) -> tuple[float | None, float
     """The controls that -1 and 1 set; those of servos are not known before the model is read."""
     if isinstance(options.action, JointPositionAction):
         return None, None
+    if not options.action.scaled:
+        return -1.0, 1.0
     return actuator.control_range or (-1.0, 1.0)  # Without a range, an action is the control itself.
 
 
@@ -196,3 +211,12 @@ def parts_of(options: TaskOptions, model: Inventory) -> ModelParts:
 def observed(options: TaskOptions) -> Sequence[ObservationTerm]:
     """The terms of the observation."""
     return options.observation or [Qpos(), Qvel()]
+
+
+def reported(options: TaskOptions) -> Sequence[Term]:
+    """The terms of the metrics."""
+    if options.metrics is not None:
+        return options.metrics
+    travel = Travel(report=["x_position", "y_position", "height", "x_velocity", "y_velocity"])
+    followed = [FollowedCommand()] if options.command else []
+    return [travel, DistanceFromStart(), *followed]

@@ -6,7 +6,7 @@ trains, NumPy beside MuJoCo's own data. Which fields of the physics it reads is 
 (`binding.bound`).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import ceil, floor
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field
 
 from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
-from core.environments.options import Range, Weight
+from core.environments.options import OpenRange, Weight
 from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.readings import ContactCount, Reading
@@ -61,8 +61,8 @@ def whole_steps(delay: tuple[float, float] | None, control_step_s: float) -> ran
 # `free_root`: a free joint of the root. The others are fields of `TaskOptions`.
 # `foot_colliders`: each foot has a geom that can touch something.
 Need = Literal["command", "feet", "foot_colliders", "free_root", "gait"]
-# What is carried from step to step for the terms that read it: `Step.foot_times`, `Step.earlier_action`.
-Memory = Literal["earlier_action", "foot_times"]
+# What is carried from step to step for the terms that read it, by the names of `Step`.
+Memory = Literal["earlier_action", "foot_times", "previous_action", "start"]
 
 
 class Term(Strict):
@@ -78,6 +78,11 @@ class Term(Strict):
     def needed(self) -> frozenset[Need]:
         """What it needs as it is configured."""
         return self.needs
+
+    @property
+    def inner(self) -> Sequence["Term"]:
+        """The terms that it is made of."""
+        return ()
 
     def readings(self, parts: ModelParts) -> Iterable[Reading]:
         """What it reads of contacts. The parts that it names are in the model."""
@@ -121,13 +126,16 @@ class OfAxis(OfBody):
 
 
 class OfHeight(OfBody):
-    range: Range = Field(description="[lowest, highest] in metres above the world's origin.")
+    range: OpenRange = Field(
+        description="[lowest, highest] in metres above the world's origin; null above: no bound."
+    )
 
     def is_inside(self, step: "Step", model: "ModelIndex") -> Array:
         """1 where the body's height is in the range, otherwise 0; 1 also for NaN. []."""
         low, high = self.range
         height = model.position(step.after, model.body(self.body))[2]
-        return step.xp.where((height < low) | (height > high), 0.0, 1.0)
+        outside = height < low if high is None else (height < low) | (height > high)
+        return step.xp.where(outside, 0.0, 1.0)
 
 
 class OfContact(Strict):

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from core.environments.numbers import Ends, NotSimulated, numbers
+from core.environments.numbers import Ends, NotSimulated, Numbers, numbers
+from core.environments.options import Range
+from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms.term import Array, OfAxis, OfBodyContact, OfContact, OfHeight, Term
 
 if TYPE_CHECKING:
@@ -29,10 +31,7 @@ class OutsideHeightRange(OfHeight, TerminationTerm):
         return 1.0 - self.is_inside(step, model)
 
     def ends(self, model: "ModelIndex") -> Ends:
-        body = model.body(self.body)
-        start = model.free_joint(body)
-        height = numbers("xpos", [3 * body + 2]) if start is None else numbers("qpos", [start + 2])
-        return Ends(height, *self.range)
+        return Ends(model.height(model.body(self.body)), *self.range)
 
 
 class NotUpright(OfAxis, TerminationTerm):
@@ -98,6 +97,8 @@ class BadOrientation(TerminationTerm):
 class OutOfBounds(TerminationTerm):
     """The root is further from where the episode began, measured along the ground, than the distance."""
 
+    remembers = frozenset({"start"})
+
     kind: Literal["out_of_bounds"] = "out_of_bounds"
     distance: float = Field(gt=0, le=1e6, description="In m.")
 
@@ -106,7 +107,35 @@ class OutOfBounds(TerminationTerm):
         return step.xp.where(step.xp.sum(away**2) > self.distance**2, 1.0, 0.0)
 
 
+class OutsideJointRange(TerminationTerm):
+    """A joint is not inside the range, whose ends are outside."""
+
+    kind: Literal["joint_range"] = "joint_range"
+    joints: Patterns = Field(description=f"Hinges and slides. {PATTERNS}")
+    range: Range = Field(description="(lowest, highest) in rad or m, or in rad/s or m/s.")
+    of: Literal["position", "velocity"] = "position"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        where = self._where(model)
+        values, (low, high) = getattr(step.after, where.array)[step.places(where.places)], self.range
+        return step.xp.where(step.xp.all((values > low) & (values < high)), 0.0, 1.0)
+
+    def ends(self, model: "ModelIndex") -> Ends:
+        return Ends(self._where(model), *self.range)
+
+    def _where(self, model: "ModelIndex") -> Numbers:
+        if self.of == "position":
+            return numbers("qpos", model.joint_positions(self.joints))
+        return numbers("qvel", model.joint_velocities(self.joints))
+
+
 AnyTermination = Annotated[
-    OutsideHeightRange | NotUpright | Touching | IllegalContact | BadOrientation | OutOfBounds,
+    OutsideHeightRange
+    | OutsideJointRange
+    | NotUpright
+    | Touching
+    | IllegalContact
+    | BadOrientation
+    | OutOfBounds,
     Field(discriminator="kind"),
 ]

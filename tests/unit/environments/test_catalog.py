@@ -14,7 +14,7 @@ from core.algorithms.sac import tuned as sac_tuned
 from core.algorithms.sac.spec import SACSpec
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
-from core.environments.locomotion.info import AntOptions
+from core.environments.locomotion.ant import AntOptions
 from core.errors import EnvironmentNotFound, Rejected
 from core.physics import availability
 from core.physics.availability import choose

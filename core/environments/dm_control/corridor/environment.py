@@ -4,7 +4,7 @@ import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import reduce
-from typing import ClassVar
+from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -56,7 +56,7 @@ class Corridor(MujocoEnv):
     """
 
     # The notebook reports the term under both names, as Brax's humanoid does.
-    aliases: ClassVar[Mapping[str, str]] = {"reward_linvel": "forward_reward"}
+    aliases: Mapping[str, str] = MappingProxyType({"reward_linvel": "forward_reward"})
 
     def __init__(self, options: CorridorOptions, build_engine: EngineBuilder) -> None:
         model, layouts = model_and_layouts(options)

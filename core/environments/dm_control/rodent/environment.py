@@ -1,7 +1,7 @@
 """A rat that learns to run. Source: Merel et al., 2020, for the body; rewards as in the tutorial notebook."""
 
 from collections.abc import Mapping
-from typing import ClassVar
+from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ class Rodent(MujocoEnv):
     """Reward: forward speed + being up - the action's cost. May end when the torso is too low or too high."""
 
     # The notebook reports the term under both names, as Brax's humanoid does.
-    aliases: ClassVar[Mapping[str, str]] = {"reward_linvel": "forward_reward"}
+    aliases: Mapping[str, str] = MappingProxyType({"reward_linvel": "forward_reward"})
 
     def __init__(self, options: RodentOptions, build_engine: EngineBuilder) -> None:
         model = rodent_model(options.timestep)

@@ -49,6 +49,9 @@ FILTERED = b"""<mujoco><option timestep="0.004"/><worldbody><body name="u" pos="
 NO_TORQUE = jnp.array([-0.5])  # The middle of the control's range is not zero.
 Earning = tuple[State, Callable[[State, jax.Array], State]]
 FAST = [0.3, 0.4, 0, 0, 0, 0, 0]  # m/s of the ball
+SHARE = 1.0 / 1.1  # of the ball's mass in all
+LOW = {"kind": "height_range", "range": [0.4, 0.6]}
+BENT = {"kind": "joint_range", "joints": ["elbow"], "range": [-0.5, 0.5]}
 
 
 REWARDS: list[tuple[dict[str, Any], dict[str, Any], float]] = [
@@ -66,6 +69,10 @@ REWARDS: list[tuple[dict[str, Any], dict[str, Any], float]] = [
     ({"kind": "upright", "axis": [0, 2, 0]}, {"qpos": ON_ITS_SIDE}, 1.0),
     ({"kind": "height_range", "range": [0.4, 0.6]}, {}, 1.0),
     ({"kind": "height_range", "range": [0.6, 0.8]}, {}, 0.0),
+    ({"kind": "height_range", "range": [0.4, None]}, {}, 1.0),
+    ({"kind": "healthy", "unless": [LOW, BENT]}, {}, 1.0),
+    ({"kind": "healthy", "unless": [LOW, BENT]}, {"elbow": 0.75}, 0.0),
+    ({"kind": "healthy", "unless": [LOW, BENT]}, {"height": 0.3}, 0.0),
     # The ball is 0.5 m up: 3-4-5 to the point, times 0.1.
     ({"kind": "distance", "point": [0.3, 0.0, 0.1], "weight": 10.0}, {}, -5.0),
     ({"kind": "distance", "body": "ball", "target": "arm"}, {}, 0.0),
@@ -119,6 +126,8 @@ OBSERVATIONS: list[tuple[dict[str, Any], list[float | None]]] = [
     ({"kind": "qpos"}, [0.5, 1, 0, 0, 0, 0]),
     ({"kind": "qpos", "root_position": "none"}, [1, 0, 0, 0, 0]),
     ({"kind": "qpos", "root_position": "all"}, [0, 0, 0.5, 1, 0, 0, 0, 0]),
+    ({"kind": "qpos", "without": ["el.*"], "root_position": "none"}, [1, 0, 0, 0]),
+    ({"kind": "height"}, [0.5]),
     ({"kind": "qvel"}, FAST),
     ({"kind": "sensors"}, [0.3, 0.4, 0, 0]),
     ({"kind": "sensors", "names": ["angle"]}, [0]),
@@ -129,6 +138,8 @@ OBSERVATIONS: list[tuple[dict[str, Any], list[float | None]]] = [
     ({"kind": "qfrc_actuator"}, [0] * 7),
     # Its mass is at the end.
     ({"kind": "cinert", "bodies": ["ball"]}, [*[None] * 9, 1.0]),
+    ({"kind": "body_inertias", "bodies": ["ball"]}, [*[None] * 9, 1.0]),
+    ({"kind": "share_velocities", "bodies": ["ball"]}, [0.3 * SHARE, 0.4 * SHARE, 0, 0, 0, 0]),
 ]
 
 
@@ -161,7 +172,8 @@ UP = [1.0, 0.0, 0.0, 0.0]
 @pytest.mark.parametrize(
     ("term", "goes_on", "ends"),
     [
-        ({"kind": "height_range", "range": [0.4, 0.6]}, [0.5, *UP], [0.3, *UP]),
+        (LOW, [0.5, *UP], [0.3, *UP]),
+        (BENT, [0.5, *UP], [0.5, *UP, 0.7]),
         ({"kind": "upright", "least": 0.5}, [0.5, *UP], [0.5, *ON_ITS_SIDE]),
         ({"kind": "contact", "geoms": ["sphere"]}, [0.5, *UP], [0.09, *UP]),
     ],
@@ -172,7 +184,7 @@ def test_an_episode_ends_where_a_term_says_so(
     environment = build(tmp_path, termination=[term])
     begin = environment.reset(KEY)
     for place, done in ((goes_on, 0), (ends, 1)):
-        state = moving(begin, qpos=[0, 0, *place, 0])
+        state = moving(begin, qpos=[0, 0, *place, 0][:8])
         assert float(environment.step(state, jnp.zeros(1)).done) == done
 
 

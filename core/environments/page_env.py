@@ -1,0 +1,40 @@
+"""A page of the catalog as an environment."""
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+import mujoco
+
+from core.documents import Strict
+from core.environments.task import TaskEnv, TaskSettings
+from core.environments.terms.describe import inventory
+from core.environments.terms.inventory import Inventory
+from core.environments.terms.task import TaskOptions
+from core.physics.engine import EngineBuilder, SolverSettings
+
+
+def make(
+    options: Strict,
+    build_engine: EngineBuilder,
+    *,
+    body: str,
+    model: str,
+    task: Callable[[Any], TaskOptions],
+    **reports: Any,
+) -> TaskEnv:
+    """The page's task under these options. model: see `terms.page.page`. reports: fields of TaskSettings."""
+    spec, solver = _loaded(body, model, options)
+    compiled = spec.compile()
+    settings = TaskSettings(solver, **reports)
+    return TaskEnv(task(options), inventory(compiled), spec, compiled, build_engine, settings)
+
+
+def parts_of(body: str, model: str, options: Strict) -> Inventory:
+    """The parts of the page's model."""
+    return inventory(_loaded(body, model, options)[0].compile())
+
+
+def _loaded(body: str, model: str, options: Strict) -> tuple[mujoco.MjSpec, SolverSettings | None]:
+    module, _, function = model.partition(":")
+    return getattr(import_module(module), function)(body, options)

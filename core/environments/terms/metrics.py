@@ -1,0 +1,80 @@
+"""What each step reports besides the terms of its reward: numbers by name."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+
+from core.environments.terms.term import Array, OfBody, Term
+
+if TYPE_CHECKING:
+    from core.environments.terms.step import ModelIndex, Step
+
+Motion = Literal[
+    "x_position",
+    "y_position",
+    "height",
+    "x_velocity",
+    "y_velocity",
+    "distance_from_origin",
+]
+
+
+class Travel(OfBody, Term):
+    """Where a body is and how fast it moves, along the world's axes: m, m/s."""
+
+    kind: Literal["travel"] = "travel"
+    of: Literal["body", "centre_of_mass"] = Field(
+        default="body", description="The body itself, or the centre of mass of its subtree."
+    )
+    report: Annotated[list[Motion], Field(min_length=1, max_length=6)] = Field(
+        default=["x_position", "y_position", "distance_from_origin", "x_velocity", "y_velocity"],
+        description="The metrics' names; the distance is in three dimensions.",
+    )
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Mapping[str, Array]:
+        """[] each."""
+        body = model.body(self.body)
+        before, after = (model.place(physics, body, self.of) for physics in (step.before, step.after))
+        velocity = (after - before) / step.dt
+        all_of_them = {
+            "x_position": after[0],
+            "y_position": after[1],
+            "height": after[2],
+            "x_velocity": velocity[0],
+            "y_velocity": velocity[1],
+            "distance_from_origin": step.xp.linalg.norm(after),
+        }
+        return {name: all_of_them[name] for name in self.report}
+
+
+class DistanceFromStart(Term):
+    """`distance_from_start`: how far the root is from where the episode began, along the ground, in m."""
+
+    remembers = frozenset({"start"})
+
+    kind: Literal["distance_from_start"] = "distance_from_start"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Mapping[str, Array]:
+        """[]"""
+        position = model.position(step.after, model.root)
+        return {self.kind: step.xp.linalg.norm(position[:2] - step.start[:2])}
+
+
+class FollowedCommand(Term):
+    """How far the root's velocity is from the command: `velocity_error` in m/s, `turn_error` in rad/s."""
+
+    needs = frozenset({"command", "free_root"})
+
+    kind: Literal["followed_command"] = "followed_command"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Mapping[str, Array]:
+        """[] each."""
+        moving, turning = model.base_linear_velocity(step)[:2], model.base_angular_velocity(step)[2]
+        return {
+            "velocity_error": step.xp.linalg.norm(moving - step.command[:2]),
+            "turn_error": abs(turning - step.command[2]),
+        }
+
+
+AnyMetric = Annotated[Travel | DistanceFromStart | FollowedCommand, Field(discriminator="kind")]

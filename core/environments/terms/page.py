@@ -1,0 +1,59 @@
+"""A body of the catalog as a page: its model, its options, the task of terms that they make, and its row."""
+
+import json
+from collections.abc import Callable, Mapping
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from core.documents import Strict
+from core.environments.info import EnvironmentInfo
+from core.environments.terms.inventory import Inventory
+from core.environments.terms.task import TaskOptions, task_slices
+
+TABLE = Path(__file__).parents[1] / "inventories.json"
+
+
+def page(
+    id: str,
+    model: str,
+    task: Callable[[Any], TaskOptions],
+    options: type[Strict],
+    reports: Mapping[str, Any] | None = None,
+    **facts: Any,
+) -> EnvironmentInfo:
+    """The row of a body whose options make the task.
+
+    model: `module:function`, called as `function(id, options)`, which returns the specification and the
+    settings of the solver: see `core.environments.page_env`. reports: fields of `TaskSettings`. facts:
+    further fields of the row.
+    """
+    parts, default = _inventory_of(id, model, options), task(options())
+    return EnvironmentInfo(
+        id=id,
+        factory="core.environments.page_env:make",
+        observation_size=task_slices(default, parts).observation_size,
+        action_size=parts.sizes.nu,
+        dt=round(parts.timestep_s * (default.n_frames or 1), 9),
+        episode_length=1000,
+        tracked_body=parts.root,
+        cameras=tuple(filter(None, parts.cameras)),
+        options=options,
+        slices=lambda chosen: task_slices(task(chosen), parts, unit_of_action="1"),
+        arguments={"body": id, "model": model, "task": task, **(reports or {})},
+        **facts,
+    )
+
+
+def _inventory_of(body: str, model: str, options: type[Strict]) -> Inventory:
+    """The parts of the body's model. Those of a body that the table lacks are read from its model, which
+    loads MuJoCo: see `core.environments.describe_bodies`."""
+    if body in _table():
+        return Inventory.model_validate(_table()[body])
+    return import_module("core.environments.page_env").parts_of(body, model, options())
+
+
+@cache
+def _table() -> dict[str, Any]:
+    return json.loads(TABLE.read_text())
