@@ -71,12 +71,13 @@ def body_position(model: mujoco.MjModel, body: int) -> Callable[[PhysicsState], 
     The distance is in three dimensions, as in Brax. The result is empty for a body that does not travel by
     joints of its own, and has no height for one that stays level.
     """
-    start, slides = free_joint_of(model, body), slides_of(model, body)
-    if start is None and slides is None:
+    first, slides = free_joint_of(model, body), slides_of(model, body)
+    if first is None and slides is None:
         return lambda physics: {}
+    free = slice(first, (first or 0) + 3)
 
     def read(physics: PhysicsState) -> Mapping[str, jax.Array]:
-        where = slides.position(physics.qpos) if slides else physics.qpos[start : start + 3]
+        where = slides.position(physics.qpos) if slides else physics.qpos[free]
         found = {"distance_from_origin": jnp.linalg.norm(where)}
         return found | {"height": where[2]} if slides is None or slides.rises else found
 
