@@ -51,8 +51,11 @@ class Robot:
     bounds: dict[str, float] = field(default_factory=dict[str, float])
 
 
-# The bounds are nanoG1's, which were set for a G1: https://github.com/kingjulio8238/nanoG1, RESULTS.md.
+# The bounds are nanoG1's, which were set for a G1: https://github.com/kingjulio8238/nanoG1, RESULTS.md. Its
+# action of 1 is 0.25 rad, so that its bound of actions is 0.0525 rad, which is measured and not judged here.
 _NANO_G1 = {"action_change": 0.21, "torso_rate": 0.21, "yaw_rate": 0.20, "leg_velocity": 1.22}
+_SMOOTHNESS = ("action_change", "target_change", "torso_rate", "yaw_rate", "leg_velocity")
+_STRAIGHT_ON = [0.5, 0.0, 0.0]
 ROBOTS = {robot.name: robot for robot in (Robot("g1", 25, 40, 45, _NANO_G1), Robot("go1", 12, 12 * 1.6, 30))}
 # Seconds of training alone that others publish for a G1 by command, with their machine and their source.
 _PUBLISHED = {
@@ -134,10 +137,10 @@ def _told(answered: Answer) -> str:
         value = "nothing" if one["value"] is None else f"{one['value']:.3f}"
         lines.append(f"  {one['quantity']} {value}, bound {one['bound']:g}{'' if one['met'] else ': MISSED'}")
     for row in battery["commands"]:
-        smooth = (row[name] for name in ("action_change", "torso_rate", "yaw_rate", "leg_velocity"))
+        smooth = (row[name] for name in _SMOOTHNESS)
         lines.append(
             f"  {row['command']}: {row['falls']} of {row['episodes']} fell, tracking "
-            f"{row['linear_tracking']:.2f} and {row['angular_tracking']:.2f}; actions, torso, yaw, legs "
+            f"{row['linear_tracking']:.2f} and {row['angular_tracking']:.2f}; smooth "
             + " ".join("–" if value is None else f"{value:.2f}" for value in smooth)
         )
     return "\n".join(lines)
@@ -178,6 +181,9 @@ def _figures(robot: Robot, answers: Sequence[Answer | str], has_targets: bool) -
     yield middle(f"{name}, training alone", [one["training"][-1][1] for one in warm], "s", missing=missing)
     yield middle(f"{name}, training", [_rate(one["training"]) for one in warm], "steps/s", missing=missing)
     yield middle(f"{name}, battery", [one["battery"]["took_s"] for one in warm], "s", missing=missing)
+    straight = [row for one in warm for row in one["battery"]["commands"] if row["command"] == _STRAIGHT_ON]
+    changes = [row["target_change"] for row in straight if row["target_change"] is not None]
+    yield middle(f"{name}, battery, target_change (nanoG1: 0.0525)", changes, "rad", missing=missing)
     for quantity in [one["quantity"] for one in there[0]["battery"]["criteria"]] if there else []:
         found = [_criterion(one, quantity) for one in warm]
         values = [one["value"] for one in found if one["value"] is not None]

@@ -15,6 +15,7 @@ from core.algorithms.events import is_of_a_seed
 from core.jobs import feeds
 from core.jobs.job import Job
 from core.jobs.resolved import filled_in
+from gaitway.battery import shown_battery
 from gaitway.frames import RETURNS
 
 Curves = dict[str, tuple[list[int], list[float]]]  # The steps and finite values of each metric.
@@ -45,6 +46,7 @@ def facts(job: Job) -> str:
 
 def sections(job: Job, service: Service) -> Iterator[str]:
     """The sections below the curves, in order."""
+    yield from _batteries(job)
     yield section("Attempts", _attempts(job)) if job.attempts else ""
     yield section("Settings", _settings(job, service))
     yield section("Versions", _table(("", "Version"), _flat(versions(job))))
@@ -81,6 +83,18 @@ def curves_section(curves: Curves) -> str:
         f'<div id="curves"><noscript>{NEEDS_SCRIPTS}</noscript></div>{table}'
         f'<script type="application/json" id="curves-data">{held}</script>',
     )
+
+
+def _batteries(job: Job) -> Iterator[str]:
+    """The test of its policy, of each seed's."""
+    for seed in job.seeds or (None,):
+        file = job.newest("battery", seed=seed)
+        found = None if file is None else shown_battery(file.metadata)
+        if found is not None:
+            of_seed = "" if seed is None else f" of seed {seed}"
+            criteria = _table(("Quantity", "Value", "Bound", "Holds"), found.criteria)
+            content = f"<p>{escape(found.verdict)}</p>{criteria}{_table(found.head, found.rows)}"
+            yield section(f"Battery{of_seed}", content)
 
 
 def _attempts(job: Job) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 
+from core.algorithms.battery.spec import follows_velocity
 from core.algorithms.catalog import reported
 from core.algorithms.spec import BaseSpec, check_resumption
 from core.bounds import LARGEST_JOB_BYTES, json_bytes
@@ -44,6 +45,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     _check_randomization(spec, job)
     _check_video(spec, info)
     _check_devices(spec)
+    _check_battery(spec, job)
     match spec:
         case TrainSpec():
             _check_training(spec, job, store)
@@ -114,6 +116,23 @@ def _check_devices(spec: JobSpec) -> None:
         places = ("/resources/gpus",)
     if places:
         raise Rejected(detail, [Problem(place, detail) for place in places])
+
+
+def _check_battery(spec: JobSpec, job: ResolvedJob) -> None:
+    if spec.battery is None:
+        return
+    detail = None
+    if not follows_velocity(job.options):
+        detail = (
+            f"A battery tests how well a policy follows velocity commands, and {job.info.id} has none: leave "
+            "`battery` out, or give a task made of terms a `command`."
+        )
+    elif spec.kind == "rollout" and not isinstance(spec.policy, CheckpointPolicy):
+        detail = "A battery tests a trained policy: take that of a job's checkpoint, or leave `battery` out."
+    elif (why := job.info.cannot_run.get("native")) is not None:
+        detail = f"A battery runs in C MuJoCo. {why}"
+    if detail is not None:
+        raise Rejected(detail, [Problem("/battery", detail)])
 
 
 def _check_training(spec: TrainSpec, job: ResolvedJob, store: JobStore) -> None:

@@ -31,6 +31,7 @@ ArtifactRole = Literal[
     "lost_body",
     "simulation",
     "summary",
+    "battery",
     "metrics",
     "log",
     "tables",

@@ -14,6 +14,7 @@ from pydantic import (
 )
 
 from core.accounts.principal import AccountName
+from core.algorithms.battery.spec import BatterySpec
 from core.algorithms.catalog import ALGORITHMS, DEFAULT_ALGORITHM, AlgorithmSpec
 from core.bounds import LONGEST_NAME, MOST_ITEMS, FreeOptions, PastStep
 from core.documents import Strict
@@ -225,6 +226,10 @@ class TrackingSpec(Strict):
     wandb: WandbSpec | None = None
 
 
+def _default_if_true(value: Any) -> Any:
+    return ({} if value else None) if isinstance(value, bool) else value
+
+
 class _Common(Strict):
     name: Text | None = None
     project: AccountName | None = Field(
@@ -240,6 +245,13 @@ class _Common(Strict):
     )
     seed: Seed = 0
     video: VideoSpec | None = Field(default=VideoSpec(), description="null: no video is made.")
+    battery: Annotated[
+        BatterySpec | None,
+        BeforeValidator(_default_if_true, json_schema_input_type=BatterySpec | bool | None),
+    ] = Field(
+        default=None,
+        description="Test the policy in the end, under eight velocity commands, in C MuJoCo; true: as usual.",
+    )
     resources: ResourcesSpec = ResourcesSpec()
     priority: Priority = "normal"
     timeout_s: float = Field(

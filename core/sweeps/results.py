@@ -14,6 +14,7 @@ from statistics import fmean, stdev
 
 from pydantic import JsonValue
 
+from core.algorithms.battery.result import metric_names
 from core.errors import Misconfigured
 from core.jobs.job import Attempt, Job, UnreadableJob
 from core.jobs.spec import JobSpec, RolloutSpec
@@ -212,7 +213,7 @@ def refusal_of_metric(spec: JobSpec, metric: str) -> str | None:
     if not isinstance(spec, RolloutSpec) and spec.algorithm.num_evals == 0 and metric.startswith("eval/"):
         return f"The job makes no evaluations (its `num_evals` is 0), so it reports no metric {metric!r}."
     algorithm = None if isinstance(spec, RolloutSpec) else spec.algorithm.algorithm()
-    known = metrics_of(spec.environment.id, algorithm)
+    known = {*metrics_of(spec.environment.id, algorithm), *_of_the_battery(spec)}
     is_open = algorithm is not None and spec.environment.id not in _terms()
     if is_open and metric.startswith("eval/episode_"):
         return None
@@ -222,6 +223,10 @@ def refusal_of_metric(spec: JobSpec, metric: str) -> str | None:
     return (
         f"A job of this kind on {spec.environment.id} reports no metric {metric!r}; did you mean `{near[0]}`?"
     )
+
+
+def _of_the_battery(spec: JobSpec) -> Sequence[str]:
+    return [] if spec.battery is None else metric_names(spec.battery.bounds)
 
 
 @cache

@@ -1,13 +1,14 @@
 """A job's files, and files made of a job. A file gets its name once it is whole and its hash is right."""
 
 import hashlib
+import json
 import tempfile
 import time
 import uuid
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import urlencode
 
 import httpx
@@ -172,6 +173,35 @@ class AsyncFiles(AsyncJobs, AsyncCatalog, AsyncDownloads):
         href = _with_query(path_of("jobs", job_id, role), step=step, seed=seed)
         artifact = await self._announced(job_id, lambda job: job.newest(role, step, seed), href)
         return await self._download(artifact, target(artifact.name, path), on_bytes)
+
+    async def battery(self, job_id: str, *, seed: int | None = None) -> dict[str, Any]:
+        """What the battery of the job's policy found, as `battery.json` has it (docs/battery.md).
+
+        seed: whose, of several; by default the first's. Raises NotFound for a job without one.
+        """
+        full_id = await self._full_id(job_id)
+        job = await self.get(full_id)
+        found = job.newest("battery", seed=seed)
+        name = "battery.json" if found is None else found.name
+        with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
+            path = await self.download(full_id, name, Path(folder))
+            return json.loads(path.read_bytes())
+
+    async def test_policy(
+        self, job_id: str, *, best: bool = False, seed: int | None = None, **battery: Any
+    ) -> AsyncJob:
+        """Submit a rollout that tests the job's policy, and nothing else; its battery comes with its end.
+
+        best: the policy whose evaluation had the highest return. seed: whose, of several. battery: `starts`,
+        `seconds`, `push`, `bounds` (docs/battery.md).
+        """
+        full_id = await self._full_id(job_id)
+        which = {"which": "best"} if best else {}
+        of_seed = {} if seed is None else {"seed": seed}
+        policy = {"kind": "checkpoint", "job": full_id, **which, **of_seed}
+        return await self.submit(
+            {"kind": "rollout", "policy": policy, "video": None, "num_steps": 1, "battery": battery}
+        )
 
     async def load_policy(
         self,

@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from gaitway.battery import shown_battery
 from gaitway.cli.common import AsJson, JobName, Yes, client_of, confirm, job_id, print_json, wrong_usage
 from gaitway.cli.compare import flat
 from gaitway.cli.progress import duration
@@ -76,6 +77,7 @@ def show(
         *_lines(found),
         *_settings(*settings),
         *_metrics(found, all_of_them=metrics),
+        *_batteries(found),
         *_parts(found),
     ]:
         console.print(Text(line), soft_wrap=True)
@@ -165,6 +167,13 @@ def _best(job: JobView) -> str:
         for one in found
         if one is not None
     )
+
+
+def _batteries(job: JobView) -> list[str]:
+    """The verdict on each seed's policy."""
+    found = [job.newest("battery", seed=seed) for seed in job.seeds or [None]]
+    shown = [(one.name, shown_battery(one.metadata)) for one in found if one is not None]
+    return [f"  battery ({name}): {battery.verdict}" for name, battery in shown if battery is not None]
 
 
 def _number(value: Any) -> str:

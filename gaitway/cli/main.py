@@ -7,6 +7,7 @@ import typer
 
 from gaitway.cli import (
     accounts,
+    battery,
     compare,
     environments,
     files,
@@ -64,6 +65,7 @@ for command in (
     watch.watch,
     watch.logs,
     compare.compare,
+    battery.battery,
     jobs.cancel,
     jobs.delete,
     files.video,

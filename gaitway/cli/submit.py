@@ -37,6 +37,7 @@ JOB_FIELDS = frozenset(
             "seed",
             "seeds",
             "video",
+            "battery",
         ),
         *(
             "resources",

@@ -1,4 +1,4 @@
-"""`./run demo`, `gaitway demo`: trains an ant through the whole service, and fetches its video."""
+"""`./run demo`, `gaitway demo`: trains a body through the whole service, and fetches its video."""
 
 import argparse
 import contextlib
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gaitway.battery import shown_battery
 from gaitway.cli.progress import JobProgress
 from gaitway.cli.terminal import Console
 from gaitway.client import Client
@@ -28,6 +29,8 @@ _ANT_LEARNS: dict[str, Any] = {
     "discounting": 0.985,
     "learning_rate_schedule": "LINEAR",
 }
+# Robots that walk by command, which a battery tests in the end.
+_ROBOTS = ("g1", "go1")
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class DemoOptions:
             "environment": {"id": "ant", "options": _ANT_OPTIONS} if is_ant else self.environment,
             "algorithm": algorithm,
             "seed": self.seed,
+            **({"battery": True} if self.environment in _ROBOTS else {}),
         }
 
 
@@ -110,6 +114,8 @@ def _fetch(client: Client, job: JobView, out: Path) -> dict[str, Path]:
         kept["policy"] = client.download(
             job.id, policy.name, out / f"{name}-policy{Path(policy.name).suffix}"
         )
+    if (battery := job.newest("battery")) is not None:
+        kept["battery"] = client.download(job.id, battery.name, out / f"{name}-battery.json")
     kept["report"] = client.share(job.id, out / f"{name}-report.html")
     return kept
 
@@ -124,8 +130,12 @@ def _report(job: JobView, kept: dict[str, Path], elapsed_s: float) -> None:
     if speed is not None:
         where = "in the video" if video is not None else "in the last evaluation"
         print(f"The {job.environment} walks at {speed:.2f} m/s {where}.")
-    if video is not None and (shown := video.metadata.get("episodes", 1)) > 1:
-        print(f"The video shows {shown} episodes: the body fell, or an episode's time was up.")
+    if video is not None and (number := video.metadata.get("episodes", 1)) > 1:
+        print(f"The video shows {number} episodes: the body fell, or an episode's time was up.")
+    battery = job.newest("battery")
+    if battery is not None and (shown := shown_battery(battery.metadata)) is not None:
+        held = ", ".join(f"{name} {value} ({bound})" for name, value, bound, _ in shown.criteria)
+        print(f"Battery: {shown.verdict} {held[0].upper()}{held[1:]}.")
     if video is None:
         print("There is no video: if this machine cannot render, `gaitway doctor` says what is missing.")
     for what, path in kept.items():
@@ -147,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, default=Path("gaitway-demo"), metavar="DIR", help="for the results"
     )
-    parser.add_argument("--environment", default="ant", metavar="ID", help="ant, hopper, half_cheetah, …")
+    parser.add_argument("--environment", default="ant", metavar="ID", help="ant, hopper, go1, …")
     parser.add_argument("--timesteps", type=positive, metavar="N", help="environment steps to train for")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--port", type=port_number, help="of the API; by default 8000 or the next free one")

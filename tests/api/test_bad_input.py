@@ -73,6 +73,13 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/environment",
             "'playground/Go1JoystickFlatTerrain' is like it, but is not available here",
         ),
+        (MINIMAL | {"battery": True}, "/battery", "give a task made of terms a `command`"),
+        (
+            {"kind": "rollout", "environment": "go1", "policy": {"kind": "zero"}, "battery": {}},
+            "/battery",
+            "A battery tests a trained policy",
+        ),
+        (MINIMAL | {"battery": {"seconds": 1}}, "/battery/seconds", "2"),
         ({"environment": "ant"}, "/kind", "`kind` is missing"),
         ({"kind": "trian", "environment": "ant"}, "/kind", "did you mean `train`?"),
         ({"kind": "zzz", "environment": "ant"}, "/kind", "known are `train`, `rollout`."),

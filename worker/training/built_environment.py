@@ -15,6 +15,7 @@ from typing import Any
 import jax
 
 from core.devices import gpu_indices
+from core.documents import Strict
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.info import Device, EnvironmentInfo
@@ -63,6 +64,7 @@ class BuiltEnvironment:
     """An environment, its engine and the reason for that.
 
     job: resolved without a user's own model. num_devices: how many share a training. commit: of the code.
+    model: the file of a user's own.
     """
 
     job: ResolvedJob
@@ -73,16 +75,24 @@ class BuiltEnvironment:
     engine_reason: str
     num_devices: int = 1
     commit: str | None = None
+    model: Path | None = None
 
     @property
     def info(self) -> EnvironmentInfo:
         return self.job.info
 
+    @property
+    def versions(self) -> dict[str, str]:
+        """Of the packages that the numbers depend on."""
+        also = [*_ENGINES_PACKAGES.get(self.engine, ()), *_brought_by(self.info)]
+        return {name: version(name) for name in ("gaitway", "jax", "brax", "mujoco", "mujoco-mjx", *also)}
+
+    def made_on(self, engine: EngineName, options: Strict) -> Environment:
+        """The body under these options, on another engine. Raises JobFailed."""
+        return catalog.make(self.info, options, engine_builder(engine), self.model)
+
     def started(self, **details: Any) -> Started:
         """The facts on this attempt for the job's record."""
-        also = [*_ENGINES_PACKAGES.get(self.engine, ()), *_brought_by(self.info)]
-        packages = ("gaitway", "jax", "brax", "mujoco", "mujoco-mjx", *also)
-        versions = {name: version(name) for name in packages}
         return Started(
             device=self.device_name,
             engine=self.engine,
@@ -91,7 +101,7 @@ class BuiltEnvironment:
                 "host": platform.node(),
                 "python": platform.python_version(),
                 "commit": self.commit,
-                "versions": versions,
+                "versions": self.versions,
                 **details,
             },
         )
@@ -134,7 +144,9 @@ def build_environment(task: Task) -> BuiltEnvironment:
     engine, reason = choice.name, choice.reason
     if info.own_physics:
         engine, reason = info.own_physics, f"{info.id} brings its own physics."
-    return BuiltEnvironment(job, environment, device, name, engine, reason, num_devices, task.commit)
+    return BuiltEnvironment(
+        job, environment, device, name, engine, reason, num_devices, task.commit, _model_of(task)
+    )
 
 
 def _choice(task: Task, info: EnvironmentInfo, device: Device, num_envs: int) -> EngineChoice:
@@ -149,13 +161,18 @@ def _made(task: Task, job: ResolvedJob, engine: EngineName) -> Environment:
         keep_warp_kernels()
     if engine == "compiled":
         keep_machine_code()
-    model = Path(task.model).absolute() if task.model else None  # It is in the spool, our working directory.
+    model = _model_of(task)
     environment = catalog.make(job.info, job.options, engine_builder(engine), model)
     environment = randomize(environment, task.spec.randomization)
     if model is not None:
         # Only a reset shows whether the engine has what the job randomises.
         jax.eval_shape(environment.reset, jax.random.key(0))
     return environment
+
+
+def _model_of(task: Task) -> Path | None:
+    """The file of the user's own model; it is in the spool, our working directory."""
+    return Path(task.model).absolute() if task.model else None
 
 
 def _may_take_another(task: Task, choice: EngineChoice, failed: JobFailed) -> bool:

@@ -1,12 +1,14 @@
-"""A rollout job: episodes of a policy, their trajectory, a summary, a replay, a video."""
+"""A rollout job: episodes of a policy, their trajectory, a summary, a replay, a video, a battery."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
 
-from core.algorithms.trained_policy import load_policy, policy_from_checkpoint
+from core.algorithms.trained_policy import TrainedPolicy, load_policy, policy_from_checkpoint
 from core.environments import trajectory
 from core.environments.environment import Environment
 from core.environments.rollout import (
@@ -24,6 +26,7 @@ from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, Rollo
 from core.reasons import Reason
 from worker.protocol import Advanced, Measured, PhaseBegan, Task
 from worker.stopping import StopRequest
+from worker.training.battery import BatteryWriter
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
@@ -42,7 +45,7 @@ def roll_out(
     """
     events.send(built.started(policy=spec.policy.model_dump()))
     policy, env = policy_and_environment(task, spec, built, events)
-    built = replace(built, environment=env)
+    whole, built = built, replace(built, environment=env)
     events.send(PhaseBegan(phase="acting"))
     episodes = _act(spec, built, policy, events, stopping)
     differs = (
@@ -78,6 +81,12 @@ def roll_out(
                 num_at_once=spec.video.episodes,
             )
             film.show("video", of_video, None)
+    if spec.battery is not None and not stopping.asked:
+        events.send(PhaseBegan(phase="evaluating"))
+        writer = BatteryWriter(spec.battery, whole, lambda: stopping.asked)
+        metrics = writer.test(spec, partial(trained_policy, task, spec, events), None, events)
+        if metrics:
+            events.send(Measured(step=_steps(episodes), values=dict(metrics)))
     return len(episodes) < spec.num_episodes
 
 
@@ -98,11 +107,14 @@ def _act(
             raise _diverged(len(episodes), *found)
         episodes.append(episode)
         if len(episodes) % num_envs == 0:
-            steps = sum(episode.num_steps for episode in episodes)
-            events.send(Advanced(step=steps, total=spec.num_steps * spec.num_episodes))
+            events.send(Advanced(step=_steps(episodes), total=spec.num_steps * spec.num_episodes))
         if stopping.asked:
             break
     return episodes
+
+
+def _steps(episodes: Sequence[Episode]) -> int:
+    return sum(episode.num_steps for episode in episodes)
 
 
 def _diverged(episode: int, step: int, quantity: str) -> JobFailed:
@@ -121,15 +133,7 @@ def policy_and_environment(
     size = built.environment.action_size
     match spec.policy:
         case CheckpointPolicy():
-            content = (events.spool / str(task.checkpoint)).read_bytes()
-            if task.policy_of is None:
-                trained = policy_from_checkpoint(
-                    content, deterministic=spec.deterministic, seed=task.policy_seed
-                )
-            else:
-                trained = load_policy(
-                    content, task.policy_of, is_checkpoint=False, deterministic=spec.deterministic
-                )
+            trained = trained_policy(task, spec, events)
             env, act = trained.acting(built.environment)
             return lambda _, state, key: act(trained.parameters, state, key), env
         case RandomPolicy():
@@ -139,6 +143,14 @@ def policy_and_environment(
         case ConstantPolicy(action=action):
             policy = constant_policy(action)
     return lambda _, state, key: policy(state.obs, key), built.environment
+
+
+def trained_policy(task: Task, spec: RolloutSpec, events: EventWriter) -> TrainedPolicy:
+    """The policy of the checkpoint that the task names. Raises JobFailed where its file is damaged."""
+    content = (events.spool / str(task.checkpoint)).read_bytes()
+    if task.policy_of is None:
+        return policy_from_checkpoint(content, deterministic=spec.deterministic, seed=task.policy_seed)
+    return load_policy(content, task.policy_of, is_checkpoint=False, deterministic=spec.deterministic)
 
 
 def _report(summary: dict[str, Any], events: EventWriter) -> None:

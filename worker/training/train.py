@@ -33,6 +33,7 @@ from core.reasons import Reason
 from worker.host.memory import allowed_bytes
 from worker.protocol import Advanced, Measured, Noted, PhaseBegan, PhaseEnded, Task
 from worker.stopping import StopRequest
+from worker.training.battery import BatteryWriter
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.exports import ExportWriter, PolicyInTraining
@@ -62,7 +63,8 @@ def train(
 
     Keeps checkpoints, the newest one's policy as `policy.npz`, and the best evaluation's as `policy-best`;
     and at the end, unless the job continues elsewhere, its policy, both also for programs elsewhere, and the
-    video that it asks for. Each of several seeds has such policies and a video of its own.
+    video and the battery that it asks for. Each of several seeds has such policies, a video and a battery of
+    its own.
     """
     settings = built.job.settings_on(built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
@@ -76,6 +78,10 @@ def train(
     was_stopped = _publish_all(run, files, videos, spec, report, stopping)
     if task.gang is not None and isinstance(run, Run):
         run.end()
+    if spec.battery is not None and not was_stopped:
+        report.enter("evaluating")
+        with stopping.nothing_to_keep():
+            BatteryWriter(spec.battery, built, lambda: stopping.asked).test_trained(policies)
     return was_stopped
 
 

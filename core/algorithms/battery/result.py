@@ -8,9 +8,22 @@ from core.algorithms.battery.spec import BatterySpec, Bounds, Command
 from core.documents import Stored
 
 Quantity = Literal[
-    "falls", "linear_tracking", "angular_tracking", "action_change", "torso_rate", "yaw_rate", "leg_velocity"
+    "falls",
+    "linear_tracking",
+    "angular_tracking",
+    "action_change",
+    "target_change",
+    "torso_rate",
+    "yaw_rate",
+    "leg_velocity",
 ]
-SMOOTHNESS: tuple[Quantity, ...] = ("action_change", "torso_rate", "yaw_rate", "leg_velocity")
+SMOOTHNESS: tuple[Quantity, ...] = (
+    "action_change",
+    "target_change",
+    "torso_rate",
+    "yaw_rate",
+    "leg_velocity",
+)
 
 
 class CommandResult(Stored):
@@ -18,8 +31,9 @@ class CommandResult(Stored):
 
     linear_tracking, angular_tracking: means of exp(−e² / 0.25) over all episodes after they have settled;
     after a fall, 0. The others are root mean squares over the same steps, while the body is up: of the
-    change from one action to the next of the legs' joints; of the root's angular velocity about its x and y
-    axes together, and about z, in rad/s; of the legs' joints' velocities, in rad/s. None: none was up.
+    change from one action to the next of the legs' actions, and of their servos' targets, in rad (None
+    without such); of the root's angular velocity about its x and y axes together, and about z, in rad/s; of
+    the legs' joints' velocities, in rad/s. None: none was up.
     """
 
     command: Command
@@ -27,10 +41,11 @@ class CommandResult(Stored):
     falls: int
     linear_tracking: float
     angular_tracking: float
-    action_change: float | None
-    torso_rate: float | None
-    yaw_rate: float | None
-    leg_velocity: float | None
+    action_change: float | None = None
+    target_change: float | None = None
+    torso_rate: float | None = None
+    yaw_rate: float | None = None
+    leg_velocity: float | None = None
 
 
 class Criterion(Stored):
@@ -73,6 +88,13 @@ def judged(
         if bound is not None
     ]
     return all(one.met for one in criteria), criteria
+
+
+def metric_names(bounds: Bounds) -> list[str]:
+    """The metrics of a job with a battery of these bounds."""
+    is_judged = {"falls": True, "linear_tracking": True, "angular_tracking": True}
+    is_judged |= {name: getattr(bounds, name) is not None for name in SMOOTHNESS}
+    return ["battery/passed", *(f"battery/{name}" for name, judged in is_judged.items() if judged)]
 
 
 def overall(commands: Sequence[CommandResult]) -> dict[Quantity, float]:

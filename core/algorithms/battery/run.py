@@ -26,6 +26,8 @@ from core.algorithms.battery.spec import (
 from core.algorithms.trained_policy import TrainedPolicy
 from core.environments.environment import State, Wrapped
 from core.environments.task import TaskEnv
+from core.environments.terms.actions import JointPositionAction
+from core.environments.terms.binding import servo_targets
 from core.environments.terms.commands import VelocityCommand
 from core.environments.terms.task import TaskOptions
 from core.physics.engine import NOMINAL, ModelFields
@@ -71,7 +73,10 @@ def run_battery(
         environment = make(battery_options(options, spec))
         legs = leg_joints(environment.model, environment.tracked_body, options.feet)
         settled, end = round(SETTLING_S / environment.dt), round(spec.seconds / environment.dt)
-        battery = _Battery(environment, policy, _Meter(environment, legs), settled, end)
+        scale = None
+        if isinstance(options.action, JointPositionAction):
+            _, scale = servo_targets(options.action, environment.model, environment.model.qpos0)
+        battery = _Battery(environment, policy, _Meter(environment, legs, scale), settled, end)
         sums = battery.run(commands, spec.starts, seed, is_stopped)
     if sums is None:
         return None
@@ -126,10 +131,12 @@ class _Commanded(Wrapped):
 
 @dataclass(frozen=True)
 class _Meter:
-    """Measures the steps of one episode. legs: numbers of the joints."""
+    """Measures the steps of one episode. legs: numbers of the joints. scale: [nu], what an action of 1 adds
+    to the servos' targets; None where the actuators have none."""
 
     environment: TaskEnv
     legs: list[int]
+    scale: np.ndarray | None
 
     def zeros(self) -> dict[str, jax.Array]:
         """fell: 1 if it did. steps: those counted. The others are sums over these."""
@@ -140,11 +147,14 @@ class _Meter:
         model, qvel = self.environment.model, state.physics.qvel
         root = int(model.jnt_dofadr[model.body_jntadr[self.environment.tracked_body]])
         acting = np.array([np.flatnonzero(model.actuator_trnid[:, 0] == joint)[0] for joint in self.legs])
+        change = (action - previous)[acting]
+        scale = np.full(len(acting), np.nan) if self.scale is None else self.scale[acting]
         return {
             "steps": jnp.ones(()),
             "linear_tracking": jnp.exp(-((state.metrics["velocity_error"] / TOLERANCE) ** 2)),
             "angular_tracking": jnp.exp(-((state.metrics["turn_error"] / TOLERANCE) ** 2)),
-            "action_change": jnp.mean((action - previous)[acting] ** 2),
+            "action_change": jnp.mean(change**2),
+            "target_change": jnp.mean((scale * change) ** 2),
             "torso_rate": jnp.sum(qvel[root + 3 : root + 5] ** 2),
             "yaw_rate": qvel[root + 5] ** 2,
             "leg_velocity": jnp.mean(qvel[model.jnt_dofadr[self.legs]] ** 2),
@@ -208,7 +218,7 @@ def _row(command: Command, sums: Mapping[str, np.ndarray], num_counted: int) -> 
     starts, steps = len(sums["fell"]), total["steps"]
 
     def rms(name: Quantity) -> float | None:
-        return math.sqrt(total[name] / steps) if steps else None
+        return math.sqrt(total[name] / steps) if steps and math.isfinite(total[name]) else None
 
     return CommandResult(
         command=command,
@@ -217,6 +227,7 @@ def _row(command: Command, sums: Mapping[str, np.ndarray], num_counted: int) -> 
         linear_tracking=total["linear_tracking"] / (starts * num_counted),
         angular_tracking=total["angular_tracking"] / (starts * num_counted),
         action_change=rms("action_change"),
+        target_change=rms("target_change"),
         torso_rate=rms("torso_rate"),
         yaw_rate=rms("yaw_rate"),
         leg_velocity=rms("leg_velocity"),

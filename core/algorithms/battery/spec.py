@@ -1,11 +1,10 @@
 """What a battery is: a test of a trained policy that follows velocity commands; no numerical code."""
 
 from collections.abc import Sequence
-from typing import cast
+from typing import Annotated, cast
 
 from pydantic import Field
 
-from core.bounds import Real
 from core.documents import Strict
 from core.environments.terms.commands import Push, VelocityCommand
 from core.environments.terms.task import TaskOptions
@@ -28,28 +27,33 @@ SETTLING_S = 1.5
 # Tracking is exp(−e² / TOLERANCE²), e in m/s or rad/s.
 TOLERANCE = 0.5
 
+# Of a quantity that is positive.
+Bound = Annotated[float, Field(gt=0, le=1000)]
 Command = tuple[float, float, float]
 
 
 class Bounds(Strict):
     """What a policy must hold to pass; null: it is measured, and not judged."""
 
-    falls: Real = Field(default=0.01, ge=0, le=1, description="At most this share of the episodes falls.")
-    tracking: Real = Field(
+    falls: float = Field(default=0.01, ge=0, le=1, description="At most this share of the episodes falls.")
+    tracking: float = Field(
         default=0.9,
         ge=0,
         le=1,
         description="At least this mean of exp(−e² / 0.25), of the velocity and of the turning each.",
     )
-    action_change: Real | None = Field(
-        default=None, gt=0, description="RMS of the legs' actions' change from one action to the next."
+    action_change: Bound | None = Field(
+        default=None, description="RMS of the legs' actions' change from one action to the next."
     )
-    torso_rate: Real | None = Field(
-        default=None, gt=0, description="RMS of the root's rate of roll and pitch, in rad/s."
+    target_change: Bound | None = Field(
+        default=None, description="RMS of the same change as the legs' servos' targets have it, in rad."
     )
-    yaw_rate: Real | None = Field(default=None, gt=0, description="RMS of the root's yaw rate, in rad/s.")
-    leg_velocity: Real | None = Field(
-        default=None, gt=0, description="RMS of the legs' joints' velocities, in rad/s."
+    torso_rate: Bound | None = Field(
+        default=None, description="RMS of the root's rate of roll and pitch, in rad/s."
+    )
+    yaw_rate: Bound | None = Field(default=None, description="RMS of the root's yaw rate, in rad/s.")
+    leg_velocity: Bound | None = Field(
+        default=None, description="RMS of the legs' joints' velocities, in rad/s."
     )
 
 
@@ -57,7 +61,7 @@ class BatterySpec(Strict):
     """Eight commands from several starts, in C MuJoCo with the model's own solver."""
 
     starts: int = Field(default=32, ge=1, le=512, description="Episodes for each command.")
-    seconds: Real = Field(
+    seconds: float = Field(
         default=8.0, ge=2, le=120, description="Length of an episode; the first 1.5 s are not measured."
     )
     push: Push | None = Field(

@@ -58,7 +58,7 @@ def test_a_body_at_rest_follows_each_command_as_far_as_the_command_is_small(tmp_
         forward, left, turn = row.command
         assert row.linear_tracking == pytest.approx(np.exp(-(forward**2 + left**2) / 0.25), abs=1e-3)
         assert row.angular_tracking == pytest.approx(np.exp(-(turn**2) / 0.25), abs=1e-3)
-        assert (row.falls, row.episodes, row.action_change) == (0, 2, 0.0)
+        assert (row.falls, row.episodes, row.action_change, row.target_change) == (0, 2, 0.0, None)
     held = {one.quantity: one.met for one in found.criteria}
     assert held == {"falls": True, "linear_tracking": False, "angular_tracking": False, "leg_velocity": True}
     assert (found.passed, found.legs) == (False, ["elbow"])

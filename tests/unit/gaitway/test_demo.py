@@ -33,3 +33,8 @@ def test_another_body_trains_under_its_own_settings() -> None:
     job = _job("hopper")
     assert job.environment.options == {}
     assert job.algorithm.model_dump(exclude_unset=True) == {"kind": "ppo"}
+
+
+def test_a_robot_is_tested_in_the_end() -> None:
+    assert _job("go1").battery is not None
+    assert _job("hopper").battery is None

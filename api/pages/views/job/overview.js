@@ -10,6 +10,7 @@ import { Chart } from "../../parts/chart.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
 import { Films } from "../../parts/films.js";
 import { Failure, Prose } from "../../parts/elements.js";
+import { Battery } from "./battery.js";
 import { Costs } from "./costs.js";
 import { NewestReplay, replaysOf } from "./replay.js";
 
@@ -27,6 +28,7 @@ export function OverviewTab({ job, query, onMetrics, onPhase }) {
       <${Terms} metrics=${job.progress.metrics} />
       <${Costs} job=${job} onPhase=${onPhase} />
     </div>
+    <${Battery} job=${job} />
     <${Attempts} job=${job} />
   </div>`;
 }

@@ -1,0 +1,71 @@
+"""A job's battery in words: the test of a policy that follows velocity commands (docs/battery.md)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+_NAMES = {
+    "falls": "falls",
+    "linear_tracking": "velocity",
+    "angular_tracking": "turning",
+    "action_change": "action change",
+    "target_change": "target change, rad",
+    "torso_rate": "torso, rad/s",
+    "yaw_rate": "yaw, rad/s",
+    "leg_velocity": "legs, rad/s",
+}
+_MEASURED = (
+    "linear_tracking",
+    "angular_tracking",
+    "action_change",
+    "target_change",
+    "torso_rate",
+    "yaw_rate",
+    "leg_velocity",
+)
+
+
+@dataclass(frozen=True)
+class ShownBattery:
+    """verdict: a sentence. criteria: quantity, value, bound, whether it holds. rows: one for each command."""
+
+    verdict: str
+    criteria: Sequence[tuple[str, str, str, str]]
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+def shown_battery(facts: Mapping[str, Any]) -> ShownBattery | None:
+    """The facts of `battery.json` as text; None where they are of another kind, as an import's may be."""
+    try:
+        criteria = [_criterion(one) for one in facts["criteria"]]
+        rows = [_row(one) for one in facts["commands"]]
+        seconds, push = facts["spec"]["seconds"], facts["spec"]["push"]
+        how = f"{seconds:g} s under each command, in C MuJoCo with the model's own solver"
+        verdict = f"{'Passed' if facts['passed'] else 'Not passed'}: {how}{', with pushes' if push else ''}."
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        return None
+    head = ("forward, left, turn", "falls", *(_NAMES[name] for name in _MEASURED))
+    return ShownBattery(verdict, criteria, head, rows)
+
+
+def _criterion(one: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    name, value, bound = one["quantity"], one["value"], one["bound"]
+    sign = "≥" if name.endswith("tracking") else "≤"
+    if name == "falls":
+        return "falls", f"{100 * value:.3g} %", f"{sign} {100 * bound:.3g} %", _held(one)
+    return _NAMES.get(name, str(name)), _number(value), f"{sign} {bound:g}", _held(one)
+
+
+def _held(one: Mapping[str, Any]) -> str:
+    return "yes" if one["met"] else "no"
+
+
+def _row(one: Mapping[str, Any]) -> Sequence[str]:
+    command = ", ".join(f"{part:g}" for part in one["command"])
+    measured = (_number(one.get(name)) for name in _MEASURED)
+    return command, f"{one['falls']:d} of {one['episodes']:d}", *measured
+
+
+def _number(value: Any) -> str:
+    return "–" if value is None else f"{cast('float', value):.2f}"
