@@ -20,12 +20,10 @@ from core.environments.terms.inventory import Inventory
 from core.environments.terms.page import TABLE as PAGES_TABLE
 from core.physics.choose import engine_builder
 
-_PLAIN = ("reacher", "rodent")
-
 
 def table() -> dict[str, Any]:
     """The parts of each body that is no page."""
-    found = {name: described(_model(name)) for name in _PLAIN}
+    found = {"reacher": described(_model("reacher"))}
     for name, walker in WALKERS.items():
         # Its environment would look for its body in the table.
         parts = described(corridor_model(CorridorOptions.model_validate({"walker": name})))

@@ -1,8 +1,10 @@
 """The base of our environments: a model, an engine that steps it, and its sizes."""
 
+import operator
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from types import MappingProxyType
 
 import jax
@@ -18,7 +20,6 @@ from core.environments.environment import (
     State,
 )
 from core.environments.numbers import Ends, Noise, NotSimulated, Numbers
-from core.environments.rewards import total
 from core.environments.simulation import Simulation, as_xml
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
@@ -100,14 +101,17 @@ class MujocoEnv(ABC):
         metrics: Mapping[str, jax.Array],
         info: Mapping[str, jax.Array],
     ) -> State:
-        """The state after a step. Its reward is the sum of `rewards`, and its metrics report the same terms.
+        """The state after a step. Its reward is the sum of `rewards`, from first to last, and its metrics
+        report the same terms.
 
         rewards: the weighted terms [] by the names of their metrics; costs are negative. metrics: all others.
         A reset passes its result through `initial`.
         """
         repeated = {name: rewards[term] for name, term in self.aliases.items()}
         reported = {**rewards, **repeated} if self.reports_rewards else {}
-        return State(physics, obs, total(rewards), done, {**reported, **metrics}, info)
+        return State(
+            physics, obs, reduce(operator.add, rewards.values()), done, {**reported, **metrics}, info
+        )
 
 
 def initial(state: State) -> State:
@@ -146,17 +150,6 @@ def noisy_start(
     if environment.initial_act is None:
         return environment.engine.reset(qpos, qvel, model)
     return environment.engine.reset(qpos, qvel, model, environment.initial_act)
-
-
-def travel(position: jax.Array, velocity: jax.Array) -> dict[str, jax.Array]:
-    """Metrics of a travelling body, under Brax's names. position: [3] in m; velocity: [3] in m/s."""
-    return {
-        "x_position": position[0],
-        "y_position": position[1],
-        "distance_from_origin": jnp.linalg.norm(position),
-        "x_velocity": velocity[0],
-        "y_velocity": velocity[1],
-    }
 
 
 def scaled_to_control(model: mujoco.MjModel, action: jax.Array) -> jax.Array:

@@ -5,12 +5,11 @@ from typing import Literal
 from pydantic import Field
 
 from core.documents import Strict
-from core.environments.locomotion.common import noisy, survival
 from core.environments.options import NoiseScale, Range, Weight
 from core.environments.terms.actions import ControlAction
 from core.environments.terms.metrics import Travel
 from core.environments.terms.observations import Qpos, Qvel
-from core.environments.terms.page import page
+from core.environments.terms.page import noisy, page, survival
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.terminations import OutsideHeightRange

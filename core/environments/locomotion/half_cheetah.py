@@ -3,12 +3,11 @@
 from pydantic import Field
 
 from core.documents import Strict
-from core.environments.locomotion.common import noisy
 from core.environments.options import NoiseScale, Weight
 from core.environments.terms.actions import ControlAction
 from core.environments.terms.metrics import Travel
 from core.environments.terms.observations import Qpos, Qvel
-from core.environments.terms.page import page
+from core.environments.terms.page import noisy, page
 from core.environments.terms.rewards import ControlCost, ForwardVelocity
 from core.environments.terms.task import TaskOptions
 from core.physics.availability import Rule

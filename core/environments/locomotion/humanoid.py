@@ -3,11 +3,10 @@
 from pydantic import Field
 
 from core.documents import Strict
-from core.environments.locomotion.common import noisy, survival
 from core.environments.options import NoiseScale, Range, Weight
 from core.environments.terms.metrics import Travel
 from core.environments.terms.observations import ActuatorForces, BodyInertias, Qpos, Qvel, ShareVelocities
-from core.environments.terms.page import page
+from core.environments.terms.page import noisy, page, survival
 from core.environments.terms.rewards import ControlCost, ForwardVelocity
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.terminations import OutsideHeightRange

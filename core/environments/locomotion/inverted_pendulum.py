@@ -1,8 +1,7 @@
 """A pole balanced on a cart. Source: Barto et al., 1983; rewards as in brax.envs.inverted_pendulum."""
 
 from core.environments.info import NoOptions
-from core.environments.locomotion.common import noisy
-from core.environments.terms.page import page
+from core.environments.terms.page import noisy, page
 from core.environments.terms.rewards import Alive
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.terminations import OutsideJointRange

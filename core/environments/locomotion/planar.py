@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from core.documents import Strict
-from core.environments.locomotion.common import noisy, survival
 from core.environments.options import NoiseScale, OpenRange, Range, Weight
 from core.environments.terms.actions import ControlAction
 from core.environments.terms.metrics import Travel
 from core.environments.terms.observations import Height, Qpos, Qvel
-from core.environments.terms.page import page
+from core.environments.terms.page import noisy, page, survival
 from core.environments.terms.rewards import ControlCost, ForwardVelocity
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.terminations import AnyTermination, OutsideHeightRange, OutsideJointRange

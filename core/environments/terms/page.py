@@ -5,12 +5,14 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Protocol
 
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
 from core.environments.terms.inventory import Inventory
-from core.environments.terms.task import TaskOptions, task_slices
+from core.environments.terms.rewards import Alive, Healthy
+from core.environments.terms.task import Reset, TaskOptions, task_slices
+from core.environments.terms.terminations import AnyTermination
 
 TABLE = Path(__file__).parents[1] / "inventories.json"
 
@@ -57,3 +59,28 @@ def _inventory_of(body: str, model: str, options: type[Strict]) -> Inventory:
 @cache
 def _table() -> dict[str, Any]:
     return json.loads(TABLE.read_text())
+
+
+class HealthyOptions(Protocol):
+    """The options of a body that may fall."""
+
+    healthy_reward: float
+    terminate_when_unhealthy: bool
+
+
+def survival(
+    options: HealthyOptions, name: str, ends: list[AnyTermination]
+) -> tuple[Alive | Healthy, list[AnyTermination]]:
+    """The reward for being healthy, and what ends an episode. ends: what is unhealthy.
+
+    If that ends the episode, the step that ends it still earns the reward (as in Brax); otherwise an
+    unhealthy step earns none.
+    """
+    if options.terminate_when_unhealthy:
+        return Alive(weight=options.healthy_reward, name=name), ends
+    return Healthy(weight=options.healthy_reward, name=name, unless=ends), []
+
+
+def noisy(scale: float, velocities: Literal["uniform", "normal"] = "uniform", lift: float = 0.0) -> Reset:
+    """A start with this noise on positions and velocities. lift: m."""
+    return Reset(position_noise=scale, velocity_noise=scale, velocity_distribution=velocities, lift=lift)

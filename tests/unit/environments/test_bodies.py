@@ -21,7 +21,7 @@ NUM_ENVS = 8
 # The other stars are the same body.
 SLOW = {"brittle_star_undirected"}
 # By the folder of core/environments: the stars' 20 s are 500 actions of 0.04 s.
-EPISODE_LENGTHS = {"locomotion": 1000, "dm_control": 1000, "brittle_star": 500}
+EPISODE_LENGTHS = {"page_env": 1000, "dm_control": 1000, "brittle_star": 500}
 
 
 @dataclass(frozen=True)

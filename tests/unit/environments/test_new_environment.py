@@ -1,4 +1,4 @@
-"""An environment that the project does not have: its folder, and its line in the catalog."""
+"""An environment that the project does not have: its page, and its line in the catalog."""
 
 import json
 from typing import Any
@@ -16,7 +16,7 @@ from core.jobs.spec import JOB_SPEC
 from core.physics.availability import choose
 from core.physics.choose import engine_builder
 from tests.learning.runs import STEPS_PER_UPDATE, small_settings
-from tests.unit.environments.sled.info import INFO
+from tests.unit.environments.sled import INFO
 
 
 @pytest.fixture(autouse=True)
@@ -31,6 +31,13 @@ def test_a_job_may_name_it(job_store: PostgresJobStore) -> None:
     misspelt = JOB_SPEC.validate_python({"kind": "train", "environment": "sledge"})
     with pytest.raises(Rejected, match="Did you mean 'sled'"):
         check(misspelt, job_store)
+
+
+def test_its_row_is_that_of_its_model_and_its_terms() -> None:
+    info, options = catalog.resolve("sled", {"forward_reward_weight": 2.0})
+    assert (info.observation_size, info.action_size, info.dt, info.tracked_body) == (2, 1, 0.02, "sled")
+    assert [one.components for one in info.spaces.observation] == [("rail",), ("rail",)]
+    assert catalog.make(info, options, engine_builder("native")).dt == info.dt
 
 
 def test_auto_takes_the_engine_that_its_row_names() -> None:

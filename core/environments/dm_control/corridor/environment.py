@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments import rewards
-from core.environments.dm_control.corridor import egocentric, termination
+from core.environments.dm_control.corridor import egocentric, rewards, termination
 from core.environments.dm_control.corridor.curriculum import at_every_level
 from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions, spaces
 from core.environments.dm_control.corridor.layouts import ManyCourses, OneCourse
@@ -20,7 +19,7 @@ from core.environments.dm_control.corridor.model import boxes, corridor_spec, mo
 from core.environments.dm_control.corridor.options import in_order, values
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
-from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.environments.numbers import OBSTACLES_AHEAD, Ends, Noise, NotSimulated, Numbers, numbers, rows
 from core.environments.simulation import Simulation
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
@@ -146,7 +145,7 @@ class Corridor(MujocoEnv):
     ) -> State:
         options = self._options
         old, new = self._centre_of_mass(before), self._centre_of_mass(physics)
-        velocity = rewards.velocity(old, new, self.dt)
+        velocity = (new - old) / self.dt
         height = physics.derived["xpos"][self.tracked_body, 2]
         healthy = rewards.height_range(height, options.healthy_range)
         survives, ended = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
@@ -160,13 +159,17 @@ class Corridor(MujocoEnv):
                 "forward_reward": options.forward_reward_weight * velocity[0],
                 "distance_reward": options.distance_reward_weight * velocity[0] * self.dt,
                 "reward_alive": options.healthy_reward * survives,
-                "reward_quadctrl": -options.ctrl_cost_weight * rewards.control_cost(action),
+                "reward_quadctrl": -options.ctrl_cost_weight * jnp.sum(jnp.square(action)),
                 **self._target_velocity_reward(velocity[0], info),
             },
             done=reduce(jnp.maximum, endings.values(), jnp.maximum(fell, ended)),
             metrics={
                 "height": height,
-                **travel(new, velocity),
+                "x_position": new[0],
+                "y_position": new[1],
+                "distance_from_origin": jnp.linalg.norm(new),
+                "x_velocity": velocity[0],
+                "y_velocity": velocity[1],
                 "obstacles_passed": self._num_behind(info, new[0]) - self._num_behind(info, old[0]),
                 "way_passed": way_after - way_before,
                 "success": jnp.floor(way_after) - jnp.floor(way_before),

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import mujoco
 
+from core.environments.dm_control.rodent.info import RodentOptions
 from core.errors import JobFailed
 from core.installation import to_install
+from core.physics.engine import SolverSettings
 from core.reasons import Reason
 
 _SETTLING_S = 2.0
@@ -14,6 +16,15 @@ _SETTLING_S = 2.0
 _EXTENT_M = 1.0
 # A group that is not drawn: the skin shows the body, and its geoms would stick out of it.
 _HIDDEN = 3
+
+
+def rodent(_: str, options: RodentOptions) -> tuple[mujoco.MjSpec, SolverSettings]:
+    """The rat under these options, and the settings of its solver."""
+    # The tail's joints have next to no inertia: without implicit damping they fly apart at once.
+    solver = SolverSettings.of_job(
+        options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
+    )
+    return rodent_spec(options.timestep), solver
 
 
 def rodent_model(timestep: float) -> mujoco.MjModel:

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from core.environments import rewards
 from core.environments.environment import State
 from core.environments.info import NoOptions
 from core.environments.mujoco_env import MujocoEnv, initial
@@ -59,8 +58,8 @@ class Reacher(MujocoEnv):
             physics,
             self._observe(physics),
             rewards={
-                "reward_dist": -rewards.distance(self._tip(physics), self._target_position(physics)),
-                "reward_ctrl": -rewards.control_cost(action),
+                "reward_dist": -jnp.linalg.norm(self._tip(physics) - self._target_position(physics)),
+                "reward_ctrl": -jnp.sum(jnp.square(action)),
             },
             done=jnp.zeros(()),
             metrics={},

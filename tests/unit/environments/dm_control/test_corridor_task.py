@@ -13,10 +13,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.environments import catalog, rewards
+from core.environments import catalog
 from core.environments.dm_control.corridor.environment import Corridor
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
+from core.environments.dm_control.corridor.rewards import linear_tolerance
 from core.environments.dm_control.corridor.termination import Endings
 from core.environments.dm_control.corridor.walkers import Walker
 from core.environments.dm_control.dm_control_import import without_a_display
@@ -70,14 +71,14 @@ def refusal(**options: object) -> str:
     [(2.0, 1.0), (1.0, 0.5), (3.0, 0.5), (0.5, 0.25), (0.0, 0.0), (4.0, 0.0), (9.0, 0.0), (-1.0, 0.0)],
 )
 def test_the_target_velocity_is_worth_one_and_half_of_it_a_half(velocity: float, worth: float) -> None:
-    assert float(rewards.linear_tolerance(jnp.float32(velocity), 2.0, margin=2.0)) == worth
+    assert float(linear_tolerance(jnp.float32(velocity), 2.0, margin=2.0)) == worth
 
 
 def test_the_tolerance_is_dm_controls() -> None:
     theirs = dm_control("utils.rewards").tolerance
     speeds = np.linspace(-2.0, 9.0, 111, dtype=np.float32)
     for target in (0.3, 1.0, 3.0):
-        ours = jax.vmap(lambda speed, target=target: rewards.linear_tolerance(speed, target, margin=target))
+        ours = jax.vmap(lambda speed, target=target: linear_tolerance(speed, target, margin=target))
         expected = theirs(speeds, (target, target), margin=target, sigmoid="linear", value_at_margin=0.0)
         np.testing.assert_allclose(ours(jnp.asarray(speeds)), expected, atol=2e-6)
 

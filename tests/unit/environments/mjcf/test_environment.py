@@ -104,6 +104,16 @@ def test_a_term_earns_what_it_says(number: int, earning: Earning) -> None:
     assert float(after.reward) == pytest.approx(sum(parts), abs=1e-4)
 
 
+def test_a_reward_is_its_terms_added_from_first_to_last(tmp_path: Path) -> None:
+    # In float32, 1e6 + 0.03 is 1e6.
+    sums = list[float]()
+    for weights in ((1e6, 0.03, -1e6), (1e6, -1e6, 0.03)):
+        terms = [{"kind": "alive", "name": f"t{n}", "weight": weight} for n, weight in enumerate(weights)]
+        environment = build(tmp_path, reward=terms)
+        sums.append(float(environment.step(environment.reset(KEY), NO_TORQUE).reward))
+    assert sums == [0.0, pytest.approx(0.03)]
+
+
 def test_an_action_is_a_share_of_the_controls_range(tmp_path: Path) -> None:
     # The range [-0.5, 1.5] has 0.5 in its middle, and the gear of 2 makes 1 N m of that.
     environment = build(tmp_path, reward=[{"kind": "energy"}])
