@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.environments.terms.commands import GaitClock, VelocityCommand
+from core.environments.terms.commands import AnyCommand, GaitClock
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.sensed import Sensed
@@ -63,7 +63,7 @@ class Deployment:
     offset: Sequence[float]
     scale: Sequence[float]
     bounds: Sequence[tuple[float, float] | None]
-    command: VelocityCommand | None
+    command: AnyCommand | None
     gait: GaitClock | None
     qpos: Sequence[float]
     physics_step_s: float
@@ -103,7 +103,7 @@ def deployment(
     parts: ModelParts,
     targets: tuple[np.ndarray, np.ndarray] | None,
     *,
-    command: VelocityCommand | None,
+    command: AnyCommand | None,
     gait: GaitClock | None,
 ) -> Deployment:
     """The task of these terms. targets: offset and scale [nu] of servos; None: actions are no targets.

@@ -18,6 +18,7 @@ from core.environments.simulation import Simulation
 from core.environments.terms import foot_times
 from core.environments.terms.actions import ControlAction, JointPositionAction
 from core.environments.terms.binding import bound, servo_targets
+from core.environments.terms.commands import AnyCommand
 from core.environments.terms.describe import height_of, root_of
 from core.environments.terms.feet import feet_of
 from core.environments.terms.foot_times import FIELDS
@@ -73,7 +74,9 @@ class TaskEnv(MujocoEnv):
         settings = settings or TaskSettings(_solver(options))
         root = model.body(options.root).id if options.root else root_of(model)
         start = _start(model, options)
-        named = ModelIndex(model, root, start, feet_of(model, options.feet, start))
+        named = ModelIndex(
+            model, root, start, feet_of(model, options.feet, start), len(parts_of(options, parts).command)
+        )
         paid = options.reward or _default_reward()
         self._names = metric_names(paid)
         self._weights = [term.sign * term.weight for term in paid]
@@ -114,7 +117,7 @@ class TaskEnv(MujocoEnv):
     def reset(
         self, key: jax.Array, model: ModelFields = NOMINAL, *, command: jax.Array | None = None
     ) -> State:
-        """command: [3], in place of a random one; of a task with commands."""
+        """command: [m], in place of a random one's first numbers; of a task with commands."""
         reset, options = self._options.reset, self._options
         physics = noisy_start(
             self,
@@ -134,12 +137,13 @@ class TaskEnv(MujocoEnv):
             info["key"] = jax.random.key_data(jax.random.fold_in(key, _OF_THE_EPISODE))
             info["steps"] = jnp.zeros((), jnp.int32)
         if options.command:
-            drawn = options.command.drawn(self._uniform(info, options.command.num_random, 0), step)
-            info["command"] = drawn if command is None else command
+            info |= self._told(options.command, self._drawn(options.command, info, step), step)
+            if command is not None:
+                info["command"] = jnp.concatenate([command, info["command"][command.size :]])
         if options.gait:
             info["phase"] = self._uniform(info, 1, 1)[0]
         info |= self._policy.drawn(lambda number: self._uniform(info, number, _OF_THE_GROUP))
-        step = replace(step, command=info.get("command"))
+        step = replace(step, command=info.get("command"), target=info.get("target"))
         if "earlier_action" in self._memory:
             info["earlier_action"] = nothing
             step = replace(step, earlier_action=nothing)
@@ -156,8 +160,11 @@ class TaskEnv(MujocoEnv):
         before = self._pushed(state.physics, info)
         control = self._control(action)
         physics = self.engine.step(before, control)
-        previous, start, command = (info.get(name) for name in ("previous_action", "start", "command"))
-        step = Step(before, physics, action, previous, self.dt, jnp, command, start=start, control=control)
+        carried = ("previous_action", "command", "target", "start")
+        previous, command, target, start = (info.get(name) for name in carried)
+        step = Step(
+            before, physics, action, previous, self.dt, jnp, command, target, start=start, control=control
+        )
         if "previous_action" in self._memory:
             info["previous_action"] = action
         if "earlier_action" in self._memory:
@@ -171,9 +178,20 @@ class TaskEnv(MujocoEnv):
             info["phase"] = (info["phase"] + gait.frequency * self.dt) % 1.0
         if (command := self._options.command) is not None:
             # The step is judged by the command that its action knew.
-            fresh = command.drawn(self._uniform(info, command.num_random, 0), step)
-            info["command"] = jnp.where(self._is_due(info, command.every_s), fresh, info["command"])
+            before_it = info["target" if command.follows else "command"]
+            fresh = self._drawn(command, info, step)
+            due = jnp.where(self._is_due(info, command.every_s), fresh, before_it)
+            info |= self._told(command, due, step)
         return self._after(step, info)
+
+    def _drawn(self, command: AnyCommand, info: Mapping[str, jax.Array], step: Step) -> jax.Array:
+        return command.drawn(self._uniform(info, command.num_random, 0), step, self._parts)
+
+    def _told(self, command: AnyCommand, drawn: jax.Array, step: Step) -> dict[str, jax.Array]:
+        """What is carried of a command after a step."""
+        if not command.follows:
+            return {"command": drawn}
+        return {"target": drawn, "command": command.told(drawn, step, self._parts)}
 
     def _control(self, action: jax.Array) -> jax.Array:
         if self._targets is None:

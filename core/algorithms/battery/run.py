@@ -25,6 +25,7 @@ from core.algorithms.battery.spec import (
 )
 from core.algorithms.trained_policy import TrainedPolicy
 from core.environments.environment import State, Wrapped
+from core.environments.patterns import matching_in_turn
 from core.environments.task import TaskEnv
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.binding import servo_targets
@@ -100,14 +101,14 @@ def run_battery(
 def leg_joints(model: mujoco.MjModel, root: int, feet: list[str]) -> list[int]:
     """Numbers of the hinges and slides with actuators between the root and a foot; without feet, of all.
 
-    root: the body's number. feet: bodies' names.
+    root: the body's number. feet: patterns of bodies' names.
     """
     on_a_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = sorted({int(joint) for joint in model.actuator_trnid[on_a_joint, 0]})
     if not feet:
         return driven
     bodies = set[int]()
-    for name in feet:
+    for name in matching_in_turn(feet, [model.body(number).name for number in range(1, model.nbody)]):
         body = int(model.body(name).id)
         while body not in (0, root):
             bodies.add(body)

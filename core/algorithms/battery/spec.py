@@ -95,5 +95,5 @@ def battery_options(options: TaskOptions, spec: BatterySpec) -> TaskOptions:
         raise ValueError("The task has no command.")
     kept = [event for event in options.events if event.kind != "push"]
     pushes = [] if spec.push is None else [spec.push]
-    longer = options.command.model_copy(update={"every_s": 2 * spec.seconds})
+    longer = options.command.model_copy(update={"every_s": 2 * spec.seconds, "heading": None})
     return options.model_copy(update={"command": longer, "events": [*kept, *pushes]})

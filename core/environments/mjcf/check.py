@@ -10,6 +10,7 @@ from core.environments.info import Slice
 from core.environments.mjcf.unmatched import unmatched, unmatched_by
 from core.environments.randomization import FIELDS
 from core.environments.terms.actions import JointPositionAction
+from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
 from core.environments.terms.inventory import Inventory, Kind, ModelParts
 from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture, VariablePosture
 from core.environments.terms.observations import Activation, ObservationTerm, Qpos, Sensors
@@ -142,6 +143,10 @@ def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     words = {"root": root, "foot": next(iter(bare), None)}
     has: dict[Need, bool] = {
         "command": options.command is not None,
+        "command_height": _has_part(options.command, "height"),
+        "command_pitch": _has_part(options.command, "pitch"),
+        "position_command": isinstance(options.command, PositionCommand),
+        "velocity_command": isinstance(options.command, VelocityCommand),
         "feet": bool(options.feet),
         "foot_colliders": not bare,
         "free_root": root in parts.free,
@@ -153,11 +158,31 @@ def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
             yield Problem(pointer, f"The term {kind} needs {_NEEDED[need].format(**words)}.")
     if options.events and not has["free_root"]:
         yield Problem(f"{_OPTIONS}/events", f"A push needs {_NEEDED['free_root'].format(**words)}.")
-    if options.command and not any("command" in term.needs for term in options.reward or ()):
-        yield Problem(
-            f"{_OPTIONS}/command", "No term of the reward reads the command, so nothing would follow it."
-        )
+    if options.command is not None and not has["free_root"]:
+        yield Problem(f"{_OPTIONS}/command", f"A command needs {_NEEDED['free_root'].format(**words)}.")
+    yield from _of_unread_command(options)
     yield from _of_feet(options, parts.model)
+
+
+def _has_part(command: AnyCommand | None, part: str) -> bool:
+    return isinstance(command, VelocityCommand) and getattr(command, part) is not None
+
+
+def _of_unread_command(options: TaskOptions) -> Iterator[Problem]:
+    """A command, or a part of it, that no term of the reward reads."""
+    read = frozenset[Need]().union(*(term.needs for term in options.reward or ()))
+    here, command = f"{_OPTIONS}/command", options.command
+    if isinstance(command, PositionCommand) and "position_command" not in read:
+        yield Problem(here, "No term of the reward reads the command's point: add `track_position`.")
+    if isinstance(command, VelocityCommand):
+        if not read & {"command", "velocity_command"}:
+            yield Problem(here, "No term of the reward reads the command, so nothing would follow it.")
+        parts: tuple[tuple[str, Need], ...] = (("height", "command_height"), ("pitch", "command_pitch"))
+        for part, need in parts:
+            if _has_part(command, part) and need not in read:
+                yield Problem(
+                    f"{here}/{part}", f"No term of the reward reads the command's {part}: add `track_{part}`."
+                )
 
 
 def _feet_without_colliders(options: TaskOptions, model: Inventory) -> list[str]:
@@ -182,6 +207,10 @@ def _of_feet(options: TaskOptions, model: Inventory) -> Iterator[Problem]:
 
 _NEEDED: dict[Need, str] = {
     "command": "a `command`",
+    "command_height": "a `command` of the kind `velocity` with a `height`",
+    "command_pitch": "a `command` of the kind `velocity` with a `pitch`",
+    "position_command": "a `command` of the kind `position`",
+    "velocity_command": "a `command` of the kind `velocity`",
     "feet": "`feet`",
     "foot_colliders": "feet that can touch something, and no geom of {foot!r} can",
     "free_root": "a free joint of the root, and the body {root!r} has none",

@@ -14,13 +14,12 @@ from core.environments.robots.g1 import G1
 from core.environments.robots.go1 import GO1
 from core.environments.robots.robot import Robot
 from core.environments.terms.actions import AnyAction, JointPositionAction
-from core.environments.terms.commands import GaitClock, VelocityCommand
+from core.environments.terms.commands import AnyCommand, GaitClock, VelocityCommand
 from core.environments.terms.foot_terms import FootSlip, SwingHeight
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.locomotion import (
     BaseAngularVelocity,
     BaseLinearVelocity,
-    Command,
     FlatOrientation,
     GaitPhase,
     JointPositions,
@@ -30,8 +29,6 @@ from core.environments.terms.locomotion import (
     ProjectedGravity,
     RollPitchRate,
     StandStill,
-    TrackAngularVelocity,
-    TrackLinearVelocity,
     VerticalVelocity,
 )
 from core.environments.terms.observations import PreviousAction
@@ -48,6 +45,7 @@ from core.environments.terms.task import (
     task_slices,
 )
 from core.environments.terms.terminations import NotUpright, OutsideHeightRange
+from core.environments.terms.tracking import Command, TrackAngularVelocity, TrackLinearVelocity
 from core.environments.terms.vocabulary import AnyObservation, AnyReward
 from core.errors import Problem
 from core.physics.availability import Rule
@@ -92,7 +90,7 @@ class JoystickOptions(TaskOptions):
 
     observation: Observations = Field(default=_SEEN, description="Terms to concatenate, in this order.")
     action: AnyAction = Field(default=JointPositionAction(), description="How an action becomes controls.")
-    command: VelocityCommand | None = Field(
+    command: AnyCommand | None = Field(
         default=VelocityCommand(), description="What the policy is told to do."
     )
     events: Events = Field(default=[], description="What happens to the body within an episode.")

@@ -36,7 +36,8 @@ def bound(term: Term, model: ModelIndex) -> BoundTerm:
     each_foot = np.zeros(len(model.feet))
     step = Step(
         physics, physics, nothing, nothing, 1.0, np,
-        command=np.zeros(3),
+        command=np.zeros(model.num_commands),
+        target=np.zeros(2),
         phases=each_foot,
         start=np.zeros(3),
         foot_times=FootTimes(*[each_foot] * 5),

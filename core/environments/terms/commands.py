@@ -1,32 +1,144 @@
 """What a policy is told to do, which changes within an episode."""
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from core.documents import Strict
 from core.environments.terms.term import Array, Interval
 
 if TYPE_CHECKING:
-    from core.environments.terms.step import Step
+    from core.environments.terms.step import ModelIndex, Step
+
+
+# The places of a height and a pitch in a velocity command that has them.
+HEIGHT, PITCH = 3, 4
+
+
+@dataclass(frozen=True)
+class CommandRange:
+    """One number of a command, and the range from which it is drawn."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
 
 
 class VelocityCommand(Strict):
-    """A velocity in the root's frame: forward and left in m/s, turn to the left in rad/s."""
-
-    num_random: ClassVar[int] = 4
+    """A velocity in the root's frame: forward and left in m/s, turn to the left in rad/s. With `height` and
+    `pitch`, also how high the root is to be, in m, and how far to lean forward, in rad."""
 
     kind: Literal["velocity"] = "velocity"
     forward: Interval = Field(default=(-1.0, 1.0), description="[lowest, highest] in m/s.")
     left: Interval = Field(default=(-0.5, 0.5), description="[lowest, highest] in m/s.")
     turn: Interval = Field(default=(-1.0, 1.0), description="[lowest, highest] in rad/s, to the left.")
+    heading: Interval | None = Field(
+        default=None,
+        description="[lowest, highest] in rad from the world's x to its y: where the root is to face. The "
+        "turn is then `heading_stiffness` times what is missing, within `turn`. null: turns are drawn.",
+    )
+    heading_share: float = Field(
+        default=1.0, ge=0, le=1, description="The share of commands with a heading; others have a turn."
+    )
+    heading_stiffness: float = Field(
+        default=0.5, gt=0, le=100, description="rad/s of turn for each rad that is missing."
+    )
+    height: Interval | None = Field(
+        default=None, description="[lowest, highest] in m above the world's origin; null: not told."
+    )
+    pitch: Interval | None = Field(
+        default=None, description="[lowest, highest] in rad, forward; null: not told. It needs a height."
+    )
     every_s: float = Field(default=5.0, gt=0, le=1000, description="Seconds after which there is a new one.")
     standing: float = Field(default=0.1, ge=0, le=1, description="The share of commands to stand still.")
 
-    def drawn(self, uniform: Array, step: "Step") -> Array:
-        """A command [3]. uniform: [num_random] random numbers in [0, 1)."""
+    @model_validator(mode="after")
+    def _tells_pitch_with_height(self) -> Self:
+        if self.pitch is not None and self.height is None:
+            raise ValueError("a command with a pitch has a height, too: give `height`, if only [0.3, 0.3]")
+        return self
+
+    @property
+    def ranges(self) -> list[CommandRange]:
+        """Of its numbers, in their order."""
+        told = [("forward", "m/s", self.forward), ("left", "m/s", self.left), ("turn", "rad/s", self.turn)]
+        more = [("height", "m", self.height), ("pitch", "rad", self.pitch)]
+        return [CommandRange(name, unit, *ends) for name, unit, ends in (*told, *more) if ends is not None]
+
+    @property
+    def follows(self) -> bool:
+        """Whether what is told follows in each step from what was drawn."""
+        return self.heading is not None
+
+    @property
+    def num_random(self) -> int:
+        """How many random numbers a command takes."""
+        return len(self.ranges) + 1 + (2 if self.follows else 0)
+
+    def drawn(self, uniform: Array, step: "Step", model: "ModelIndex") -> Array:
+        """A command [n]; with a heading, that and whether it counts come after it. uniform: [num_random]
+        random numbers in [0, 1)."""
+        xp = step.xp
         low, high = (step.array(ends) for ends in zip(self.forward, self.left, self.turn, strict=True))
-        return step.xp.where(uniform[3] < self.standing, 0.0, low + uniform[:3] * (high - low))
+        stands = uniform[3] < self.standing
+        velocity = xp.where(stands, 0.0, low + uniform[:3] * (high - low))
+        rest = list[Array]()
+        number = 4
+        for ends in (self.height, self.pitch, self.heading):
+            if ends is not None:
+                rest.append(ends[0] + uniform[number] * (ends[1] - ends[0]))
+                number += 1
+        if self.follows:
+            rest.append(xp.where(stands | (uniform[number] >= self.heading_share), 0.0, 1.0))
+        return xp.concatenate([velocity, xp.stack(rest)]) if rest else velocity
+
+    def told(self, target: Array, step: "Step", model: "ModelIndex") -> Array:
+        """The command [n] after a step. target: what was drawn."""
+        xp, number = step.xp, len(self.ranges)
+        missing = (target[number] - model.heading(step) + xp.pi) % (2.0 * xp.pi) - xp.pi
+        turn = xp.clip(self.heading_stiffness * missing, *self.turn)
+        turn = xp.where(target[number + 1] > 0, turn, target[2])
+        return xp.concatenate([target[:2], turn[None], target[3:number]])
+
+
+class PositionCommand(Strict):
+    """A point on the ground to reach, told as where it lies from the root: ahead and to the left, in m."""
+
+    num_random: ClassVar[int] = 3
+    follows: ClassVar[bool] = True
+
+    kind: Literal["position"] = "position"
+    x: Interval = Field(
+        default=(-3.0, 3.0),
+        description="[lowest, highest] in m along the world's x, from where the root is when it is drawn.",
+    )
+    y: Interval = Field(default=(-3.0, 3.0), description="[lowest, highest] in m along the world's y.")
+    every_s: float = Field(default=8.0, gt=0, le=1000, description="Seconds after which there is a new one.")
+    standing: float = Field(default=0.1, ge=0, le=1, description="The share of points where the root is.")
+
+    @property
+    def ranges(self) -> list[CommandRange]:
+        """Of its numbers, in their order: no point is drawn further away."""
+        furthest = max(map(abs, self.x)) + max(map(abs, self.y))
+        return [CommandRange(name, "m", -furthest, furthest) for name in ("ahead", "left")]
+
+    def drawn(self, uniform: Array, step: "Step", model: "ModelIndex") -> Array:
+        """A point [2] in the world, in m. uniform: [num_random] random numbers in [0, 1)."""
+        low, high = (step.array(ends) for ends in zip(self.x, self.y, strict=True))
+        way = step.xp.where(uniform[2] < self.standing, 0.0, low + uniform[:2] * (high - low))
+        return model.position(step.after, model.root)[:2] + way
+
+    def told(self, target: Array, step: "Step", model: "ModelIndex") -> Array:
+        """Where the point [2] lies after a step: ahead of the root and to its left, [2] in m."""
+        x, y = target - model.position(step.after, model.root)[:2]
+        angle = model.heading(step)
+        cosine, sine = step.xp.cos(angle), step.xp.sin(angle)
+        return step.xp.stack([cosine * x + sine * y, cosine * y - sine * x])
+
+
+AnyCommand = Annotated[VelocityCommand | PositionCommand, Field(discriminator="kind")]
 
 
 class Push(Strict):

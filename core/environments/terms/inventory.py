@@ -118,11 +118,12 @@ class Inventory(Stored):
 @dataclass(frozen=True)
 class ModelParts:
     """A model as a task names its parts. root: the body of the terms that name none. feet: the bodies that
-    are, in the order of the gait."""
+    are, in the order of the gait. command: the name and the unit of each number of the task's command."""
 
     model: Inventory
     root: str
     feet: tuple[str, ...] = ()
+    command: tuple[tuple[str, str], ...] = ()
 
     @property
     def feet_colliders(self) -> dict[str, list[str]]:

@@ -131,24 +131,6 @@ class JointVelocities(_OfJoints):
         return step.after.qvel[model.joint_velocities(self.joints)]
 
 
-class Command(ObservationTerm):
-    """The command: forward and left in m/s, turn in rad/s."""
-
-    needs = frozenset({"command"})
-
-    kind: Literal["command"] = "command"
-
-    def size(self, parts: ModelParts) -> int:
-        return 3
-
-    def slices(self, parts: ModelParts) -> Iterable[Slice]:
-        for name, unit in (("forward", "m/s"), ("left", "m/s"), ("turn", "rad/s")):
-            yield named("command", (name,), unit)
-
-    def measure(self, step: "Step", model: "ModelIndex") -> Array:
-        return step.command
-
-
 class GaitPhase(ObservationTerm):
     """sin φ of each foot, then cos φ, with φ the phase of the gait's clock."""
 
@@ -168,34 +150,6 @@ class GaitPhase(ObservationTerm):
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return step.xp.concatenate([step.xp.sin(step.phases), step.xp.cos(step.phases)])
-
-
-class TrackLinearVelocity(RewardTerm):
-    """exp(−‖v_xy − c_xy‖² / σ²): 1 where the root moves as commanded."""
-
-    needs = frozenset({"command", "free_root"})
-
-    kind: Literal["track_linear_velocity"] = "track_linear_velocity"
-    tolerance: float = Field(default=0.5, gt=0, le=100, description="Error at which the term is 1/e, in m/s.")
-
-    def measure(self, step: "Step", model: "ModelIndex") -> Array:
-        error = model.base_linear_velocity(step)[:2] - step.command[:2]
-        return step.xp.exp(-step.xp.sum(error**2) / self.tolerance**2)
-
-
-class TrackAngularVelocity(RewardTerm):
-    """exp(−(ω_z − c_turn)² / σ²): 1 where the root turns as commanded."""
-
-    needs = frozenset({"command", "free_root"})
-
-    kind: Literal["track_angular_velocity"] = "track_angular_velocity"
-    tolerance: float = Field(
-        default=0.5, gt=0, le=100, description="Error at which the term is 1/e, in rad/s."
-    )
-
-    def measure(self, step: "Step", model: "ModelIndex") -> Array:
-        error = model.base_angular_velocity(step)[2] - step.command[2]
-        return step.xp.exp(-(error**2) / self.tolerance**2)
 
 
 class FlatOrientation(RewardTerm):
@@ -292,7 +246,7 @@ class VariablePosture(RewardTerm):
     Source: mjlab's `variable_posture`.
     """
 
-    needs = frozenset({"command"})
+    needs = frozenset({"velocity_command"})
 
     kind: Literal["variable_posture"] = "variable_posture"
     standing: Tolerances = Field(
@@ -345,18 +299,10 @@ class AngularMomentum(CostTerm):
 
 
 WalkingObservation = (
-    BaseLinearVelocity
-    | BaseAngularVelocity
-    | ProjectedGravity
-    | JointPositions
-    | JointVelocities
-    | Command
-    | GaitPhase
+    BaseLinearVelocity | BaseAngularVelocity | ProjectedGravity | JointPositions | JointVelocities | GaitPhase
 )
 WalkingReward = (
-    TrackLinearVelocity
-    | TrackAngularVelocity
-    | FlatOrientation
+    FlatOrientation
     | VerticalVelocity
     | RollPitchRate
     | Posture

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+from core.environments.terms.commands import HEIGHT, PITCH
 from core.environments.terms.term import Array, OfBody, Term
 
 if TYPE_CHECKING:
@@ -62,19 +63,40 @@ class DistanceFromStart(Term):
 
 
 class FollowedCommand(Term):
-    """How far the root's velocity is from the command: `velocity_error` in m/s, `turn_error` in rad/s."""
+    """How far the root is from the command: `velocity_error` in m/s, `turn_error` in rad/s; `height_error` in m
+    and `pitch_error` in rad where these are told."""
 
-    needs = frozenset({"command", "free_root"})
+    needs = frozenset({"velocity_command", "free_root"})
 
     kind: Literal["followed_command"] = "followed_command"
 
     def measure(self, step: "Step", model: "ModelIndex") -> Mapping[str, Array]:
         """[] each."""
         moving, turning = model.base_linear_velocity(step)[:2], model.base_angular_velocity(step)[2]
-        return {
+        errors = {
             "velocity_error": step.xp.linalg.norm(moving - step.command[:2]),
             "turn_error": abs(turning - step.command[2]),
         }
+        if model.num_commands > HEIGHT:
+            errors["height_error"] = abs(model.position(step.after, model.root)[2] - step.command[HEIGHT])
+        if model.num_commands > PITCH:
+            errors["pitch_error"] = abs(model.pitch(step) - step.command[PITCH])
+        return errors
 
 
-AnyMetric = Annotated[Travel | DistanceFromStart | FollowedCommand, Field(discriminator="kind")]
+class FollowedPosition(Term):
+    """`position_error`: how far the root is along the ground from the command's point, in m."""
+
+    needs = frozenset({"position_command", "free_root"})
+
+    kind: Literal["followed_position"] = "followed_position"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Mapping[str, Array]:
+        """[]"""
+        away = model.position(step.after, model.root)[:2] - step.target
+        return {"position_error": step.xp.linalg.norm(away)}
+
+
+AnyMetric = Annotated[
+    Travel | DistanceFromStart | FollowedCommand | FollowedPosition, Field(discriminator="kind")
+]

@@ -20,7 +20,7 @@ from core.environments.terms.readings import ContactCount, ContactForce, is_adde
 from core.environments.terms.term import Array
 from core.physics.model import model_field
 
-# A command below this norm (m/s, rad/s) is to stand still.
+# A command below this norm (m/s, rad/s; m to a point) is to stand still.
 _STANDING = 0.05
 
 
@@ -28,9 +28,9 @@ _STANDING = 0.05
 class Step:
     """before, after: the physics before and after it, a `PhysicsState` or what has its fields. action,
     previous_action: [nu], each in [-1, 1]; the latter is zero in an episode's first step. dt: its duration
-    in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`. command: [3], as
-    `VelocityCommand` has it; None without one. phases: of the gait's clock, [feet] in rad. control: [nu],
-    what the action set.
+    in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`. command: [n], as its action knew it;
+    None without one. target: what was drawn, of commands that follow from it. phases: of the gait's clock,
+    [feet] in rad. control: [nu], what the action set.
 
     For terms that remember them: previous_action; start: the root's position [3] at the episode's start, in
     m; foot_times; earlier_action: [nu], the one before the previous one.
@@ -43,6 +43,7 @@ class Step:
     dt: float
     xp: ModuleType
     command: Array = None
+    target: Array = None
     phases: Array = None
     start: Array = None
     foot_times: FootTimes | None = None
@@ -52,7 +53,7 @@ class Step:
     @property
     def is_moving(self) -> Array:
         """Whether the command is to move, []."""
-        return self.xp.sum(self.command**2) > _STANDING**2
+        return self.xp.sum(self.command[:3] ** 2) > _STANDING**2
 
     @property
     def command_speed(self) -> Array:
@@ -85,12 +86,14 @@ class ModelIndex:
     """The model's parts by name. root: number of the body of the terms that name no body.
 
     pose: positions [nq] in which episodes begin, before noise. feet: in the order of the gait.
+    num_commands: how many numbers a command has.
     """
 
     model: mujoco.MjModel
     root: int
     pose: np.ndarray
     feet: Sequence[Foot]
+    num_commands: int = 3
 
     def body(self, name: str | None) -> int:
         return self.root if name is None else int(self.model.body(name).id)
@@ -264,6 +267,17 @@ class ModelIndex:
     def projected_gravity(self, step: Step) -> Array:
         """The direction of gravity in the root's frame, [3]."""
         return self._turned_back(step, step.array((0.0, 0.0, -1.0)))
+
+    def pitch(self, step: Step) -> Array:
+        """How far the root leans forward, [] in rad."""
+        gravity = self.projected_gravity(step)
+        return step.xp.arctan2(gravity[0], -gravity[2])
+
+    def heading(self, step: Step) -> Array:
+        """Where the root's x points, from the world's x to its y, [] in rad."""
+        start = int(self.model.jnt_qposadr[self.model.body_jntadr[self.root]])
+        w, x, y, z = step.after.qpos[start + 3 : start + 7]
+        return step.xp.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
     def foot_heights(self, step: Step) -> Array:
         """How far the sole of each foot is above the ground, [feet] in m."""

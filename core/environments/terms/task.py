@@ -11,9 +11,15 @@ from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces, in_order,
 from core.environments.options import NoiseScale
 from core.environments.patterns import PATTERNS, Pattern, matching_in_turn
 from core.environments.terms.actions import AnyAction, ControlAction, JointPositionAction
-from core.environments.terms.commands import GaitClock, Push, VelocityCommand
+from core.environments.terms.commands import AnyCommand, GaitClock, PositionCommand, Push, VelocityCommand
 from core.environments.terms.inventory import Actuator, Inventory, ModelParts
-from core.environments.terms.metrics import AnyMetric, DistanceFromStart, FollowedCommand, Travel
+from core.environments.terms.metrics import (
+    AnyMetric,
+    DistanceFromStart,
+    FollowedCommand,
+    FollowedPosition,
+    Travel,
+)
 from core.environments.terms.observations import ObservationTerm, Qpos, Qvel, Sensors
 from core.environments.terms.readings import Reading
 from core.environments.terms.term import Memory, Name, Term
@@ -92,7 +98,7 @@ class TaskOptions(Strict):
         "distance from the start, and how far it is from the command.",
     )
     action: AnyAction = Field(default=ControlAction(), description="How an action becomes controls.")
-    command: VelocityCommand | None = Field(
+    command: AnyCommand | None = Field(
         default=None, description="What the policy is told to do; null: nothing."
     )
     feet: Feet = Field(default=[], description=f"The bodies that are feet, in the gait's order. {PATTERNS}")
@@ -205,7 +211,9 @@ def control_step_s(options: TaskOptions, model: Inventory) -> float:
 def parts_of(options: TaskOptions, model: Inventory) -> ModelParts:
     """The model as the terms name its parts."""
     feet = matching_in_turn(options.feet, model.bodies[1:])
-    return ModelParts(model, options.root or model.root, tuple(feet))
+    told = () if options.command is None else options.command.ranges
+    command = tuple((each.name, each.unit) for each in told)
+    return ModelParts(model, options.root or model.root, tuple(feet), command)
 
 
 def observed(options: TaskOptions) -> Sequence[ObservationTerm]:
@@ -218,5 +226,10 @@ def reported(options: TaskOptions) -> Sequence[Term]:
     if options.metrics is not None:
         return options.metrics
     travel = Travel(report=["x_position", "y_position", "height", "x_velocity", "y_velocity"])
-    followed = [FollowedCommand()] if options.command else []
-    return [travel, DistanceFromStart(), *followed]
+    match options.command:
+        case None:
+            return [travel, DistanceFromStart()]
+        case VelocityCommand():
+            return [travel, DistanceFromStart(), FollowedCommand()]
+        case PositionCommand():
+            return [travel, DistanceFromStart(), FollowedPosition()]

@@ -59,8 +59,12 @@ def whole_steps(delay: tuple[float, float] | None, control_step_s: float) -> ran
 
 
 # `free_root`: a free joint of the root. The others are fields of `TaskOptions`.
-# `foot_colliders`: each foot has a geom that can touch something.
-Need = Literal["command", "feet", "foot_colliders", "free_root", "gait"]
+# `foot_colliders`: each foot has a geom that can touch something. `velocity_command` and so on: a command of
+# this kind, or with this part.
+Need = Literal[
+    "command", "command_height", "command_pitch", "feet", "foot_colliders", "free_root", "gait",
+    "position_command", "velocity_command",
+]  # fmt: skip
 # What is carried from step to step for the terms that read it, by the names of `Step`.
 Memory = Literal["earlier_action", "foot_times", "previous_action", "start"]
 
