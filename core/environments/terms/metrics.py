@@ -63,8 +63,8 @@ class DistanceFromStart(Term):
 
 
 class FollowedCommand(Term):
-    """How far the root is from the command: `velocity_error` in m/s, `turn_error` in rad/s; `height_error` in m
-    and `pitch_error` in rad where these are told."""
+    """How far the root is from the command: `velocity_error` in m/s, `turn_error` in rad/s; `height_error` in
+    m and `pitch_error` in rad where these are told."""
 
     needs = frozenset({"velocity_command", "free_root"})
 
