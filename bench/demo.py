@@ -20,16 +20,20 @@ from gaitway.schema import JobView
 from gaitway.service.demo import DemoOptions
 from gaitway.views import Event
 
+# Seconds from the submission to the video, and to the battery of a robot.
+_MOST_S = {"ant": 60, "go1": 240}
 _QUICK = {"num_timesteps": 20_480, "num_eval_envs": 2, "episode_length": 20, "num_evals": 1}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--environment", default="ant", choices=list(_MOST_S), help="by default the ant")
     parser.add_argument("--fresh-clone", action="store_true", help="also from a clone without .venv")
 
 
 def measure(arguments: argparse.Namespace) -> Iterator[Figure]:
-    """When the job starts to train, when there is a video, and whether its ant walks."""
-    specification = DemoOptions(Path(), "ant", num_timesteps=None, seed=0, port=None).specification()
+    """When the job starts to train, when there is a video, and whether its body walks."""
+    body = arguments.environment
+    specification = DemoOptions(Path(), body, num_timesteps=None, seed=0, port=None).specification()
     if arguments.quick:
         specification |= {"algorithm": {"kind": "ppo", **_QUICK}, "video": {"seconds": 0.5}}
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
@@ -38,10 +42,14 @@ def measure(arguments: argparse.Namespace) -> Iterator[Figure]:
             yield Figure("the stack is ready", time.time() - began, "s")
             moments, job = _follow(client, specification)
         for what, seconds in moments.items():
-            target = 60 if what == "the video" else None
+            target = _MOST_S[body] if what in ("the video", "the battery") else None
             yield Figure(f"submission to {what}", seconds, "s", at_most=target)
         shown = job.newest("video")
-        if shown is not None:
+        if (battery := job.newest("battery")) is not None:
+            for one in battery.metadata["criteria"]:
+                least, most = (one["bound"], None) if "tracking" in one["quantity"] else (None, one["bound"])
+                yield Figure(f"battery, {one['quantity']}", one["value"], at_least=least, at_most=most)
+        elif shown is not None:
             speed, episodes = (float(shown.metadata[name]) for name in ("forward_speed_m_s", "episodes"))
             yield Figure("forward speed in the video", speed, "m/s", at_least=1)
             yield Figure("new starts after a fall in the video", episodes - 1, at_most=0)
@@ -75,6 +83,8 @@ def _moment(event: Event) -> str | None:
             return "the first progress"
         case "artifact" if event.data["role"] == "video":
             return "the video"
+        case "artifact" if event.data["role"] == "battery":
+            return "the battery"
         case "status" if event.is_end:
             return "the end of the job"
         case _:

@@ -8,12 +8,16 @@ _NAMES = {
     "falls": "falls",
     "linear_tracking": "velocity",
     "angular_tracking": "turning",
-    "action_change": "action change",
-    "target_change": "target change, rad",
-    "torso_rate": "torso, rad/s",
-    "yaw_rate": "yaw, rad/s",
-    "leg_velocity": "legs, rad/s",
+    "action_change": "actions",
+    "target_change": "targets",
+    "torso_rate": "torso",
+    "yaw_rate": "yaw",
+    "leg_velocity": "legs",
 }
+LEGEND = (
+    "Velocity and turning: means of exp(-e² / 0.25). Root mean squares: the change of the legs' actions, and "
+    "of their targets in rad; the torso's roll and pitch, its yaw, and the legs' joints, in rad/s."
+)
 _MEASURED = (
     "linear_tracking",
     "angular_tracking",
@@ -45,7 +49,7 @@ def shown_battery(facts: Mapping[str, Any]) -> ShownBattery | None:
         verdict = f"{'Passed' if facts['passed'] else 'Not passed'}: {how}{', with pushes' if push else ''}."
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         return None
-    head = ("forward, left, turn", "falls", *(_NAMES[name] for name in _MEASURED))
+    head = ("command", "falls", *(_NAMES[name] for name in _MEASURED))
     return ShownBattery(verdict, criteria, head, rows)
 
 
@@ -64,7 +68,7 @@ def _held(one: Mapping[str, Any]) -> str:
 def _row(one: Mapping[str, Any]) -> Sequence[str]:
     command = ", ".join(f"{part:g}" for part in one["command"])
     measured = (_number(one.get(name)) for name in _MEASURED)
-    return command, f"{one['falls']:d} of {one['episodes']:d}", *measured
+    return command, f"{one['falls']:d}/{one['episodes']:d}", *measured
 
 
 def _number(value: Any) -> str:

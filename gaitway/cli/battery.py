@@ -6,7 +6,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.battery import ShownBattery, shown_battery
+from gaitway.battery import LEGEND, ShownBattery, shown_battery
 from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json, wrong_usage
 from gaitway.cli.submit import follow
 from gaitway.cli.terminal import Console
@@ -45,7 +45,7 @@ def battery(  # noqa: PLR0913 - A command line's options.
     shown = shown_battery(found)
     if shown is None:
         raise wrong_usage("The file battery.json of this job is of another version: see it by --json.")
-    for part in (shown.verdict, *_tables(shown)):
+    for part in (shown.verdict, *_tables(shown), LEGEND):
         Console().print(part)
 
 
@@ -56,7 +56,7 @@ def _tables(shown: ShownBattery) -> list[Table]:
     for row in shown.criteria:
         criteria.add_row(*map(Text, row))
     for name in shown.head:
-        commands.add_column(name.upper(), overflow="fold")
+        commands.add_column(name.upper(), no_wrap=True)
     for row in shown.rows:
         commands.add_row(*map(Text, row))
     return [criteria, commands]

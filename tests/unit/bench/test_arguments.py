@@ -32,7 +32,7 @@ PARSER = parser({name: import_module(f"bench.{name}") for name in NAMES})
             "recovery --kinds faults outages damage --worlds 2 --first 40 --seeds 10",
             {"kinds": ["faults", "outages", "damage"], "worlds": 2, "first": 40, "seeds": 10},
         ),
-        ("demo --fresh-clone", {"fresh_clone": True}),
+        ("demo --fresh-clone", {"fresh_clone": True, "environment": "ant"}),
     ],
 )
 def test_a_bench_takes_its_arguments(line: str, told: dict[str, Any]) -> None:

@@ -75,7 +75,7 @@ def test_a_battery_becomes_a_file_with_what_is_shown_of_it_and_metrics(tmp_path:
         shown = shown_battery(facts)
         assert shown is not None
         assert shown.verdict.startswith("Not passed: 2 s under each command")
-        assert [row[:2] for row in shown.rows][:2] == [("1, 0, 0", "0 of 1"), ("0.5, 0, 0", "0 of 1")]
+        assert [row[:2] for row in shown.rows][:2] == [("1, 0, 0", "0/1"), ("0.5, 0, 0", "0/1")]
     assert shown_battery({"criteria": 3}) is None
 
 
