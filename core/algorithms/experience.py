@@ -15,8 +15,9 @@ from core.algorithms.evaluation import Policy, clearly_named
 from core.algorithms.lost_body import Steps, first_lost
 from core.algorithms.spec import EpsilonShape
 from core.environments.body_position import body_position
-from core.environments.environment import State
+from core.environments.environment import Environment, State
 from core.environments.wrappers.autoreset import Episodes, draw, follow, without_lost
+from core.environments.wrappers.terrain_levels import chosen_starts
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import OVERFLOW
 
@@ -33,11 +34,15 @@ class Starts:
     """The initial states of the episodes that follow ended ones.
 
     pool: fresh initial states [K, ...]. chosen: [num_steps, num_envs] int32, which of them an
-    environment gets if its episode ends at that step.
+    environment gets if its episode ends at that step; on a terrain with levels, which of those of its level.
     """
 
     pool: State
     chosen: Int[Array, "num_steps num_envs"]
+
+    def after(self, environment: Environment, reached: State, chosen: Int[Array, " num_envs"]) -> State:
+        """The states [num_envs, ...] from which environments restart that ended in the states `reached`."""
+        return draw(self.pool, chosen_starts(environment, reached, chosen, len(self.pool.reward)))
 
 
 @struct.dataclass
@@ -79,8 +84,8 @@ def collect(
     def act(episodes: Episodes, step_inputs: Any) -> tuple[Episodes, tuple[Transition, StepOutcomes]]:
         key, chosen = step_inputs
         action, extras = policy(episodes.state.obs, key)
-        fresh = None if starts is None else draw(starts.pool, chosen)
         reached, lost = without_lost(episodes.state, envs.step(episodes.state, action))
+        fresh = None if starts is None else starts.after(envs.environment, reached, chosen)
         after = follow(episodes, reached, fresh, episode_length=episode_length)
         transition = Transition(
             observation=episodes.state.obs,

@@ -105,7 +105,8 @@ def check_curriculum(reset_pool_size: int, environment: EnvironmentInfo) -> Reje
         "With reset_pool_size = 0 every environment returns to its own first state for the whole run, so a "
         "curriculum would change nothing: leave reset_pool_size out, or give up the curriculum."
     )
-    places = ("/algorithm/reset_pool_size", "/environment/options/curriculum")
+    option = f"/environment/options/{environment.curriculum_option}"
+    places = ("/algorithm/reset_pool_size", option)
     return Rejected(detail, [Problem(place, detail) for place in places])
 
 

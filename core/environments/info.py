@@ -127,7 +127,8 @@ class EnvironmentInfo:
     cannot run it, and why.
     package: what it imports that a worker may lack, by its import name.
     own_physics: what steps it if no engine does; its model cannot be randomized.
-    has_curriculum: whether its fresh starts change while a run trains.
+    has_curriculum: whether its fresh starts change while a run trains. curriculum_option: its place among
+    the options.
     free_in_rollouts: options that a rollout may change from those that its policy was trained with.
     vary: the fields above that some options change, by name; the row itself has their values under the
     default options. slices: the numbers of an observation and an action under these options; None where they
@@ -156,6 +157,7 @@ class EnvironmentInfo:
     package: str | None = None
     own_physics: str = ""
     has_curriculum: bool = False
+    curriculum_option: str = "curriculum"
     free_in_rollouts: tuple[str, ...] = ()
     vary: Callable[[Any], Mapping[str, Any]] | None = None
     slices: Callable[[Any], Spaces] | None = None

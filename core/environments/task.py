@@ -1,5 +1,6 @@
 """An environment made of a model and of terms."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -18,7 +19,7 @@ from core.environments.simulation import Simulation
 from core.environments.terms import foot_times
 from core.environments.terms.actions import ControlAction, JointPositionAction
 from core.environments.terms.binding import bound, servo_targets
-from core.environments.terms.commands import AnyCommand
+from core.environments.terms.commands import AnyCommand, VelocityCommand
 from core.environments.terms.describe import height_of, root_of
 from core.environments.terms.feet import feet_of
 from core.environments.terms.foot_times import FIELDS
@@ -35,6 +36,7 @@ from core.environments.terms.task import (
 )
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
 from core.environments.terms.vocabulary import AnyReward
+from core.environments.terrain.grid import LAYOUT, WALKED, TerrainGrid
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import initial_qpos
 
@@ -43,6 +45,7 @@ _LOWEST, _HIGHEST = 0.4, 2.0
 _OF_THE_EPISODE = 7
 # What random numbers of a step are for, folded into their key: events have those from 3 on.
 _OF_THE_GROUP = 100
+_OF_THE_TERRAIN = 8
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,8 @@ class TaskEnv(MujocoEnv):
             self.initial_qpos = self.initial_qpos.at[free + 2].add(options.reset.lift)
         self.initial_qvel, self.initial_act = _motion(model, options)
         self._spec, self._parts, self._inventory = spec, named, parts
+        self._grid = _terrain(options, model, start, named)
+        self._cell: jax.Array | None = None
         self._termination = ends
         self._is_random = bool(options.command or options.gait or options.events) or self._policy.is_random
         self.observation_size = self._policy.size
@@ -119,8 +124,9 @@ class TaskEnv(MujocoEnv):
     ) -> State:
         """command: [m], in place of a random one's first numbers; of a task with commands."""
         reset, options = self._options.reset, self._options
+        there, model, of_the_terrain = self._on_terrain(key, model)
         physics = noisy_start(
-            self,
+            there,
             key,
             model,
             reset.position_noise,
@@ -130,7 +136,7 @@ class TaskEnv(MujocoEnv):
         nothing = jnp.zeros(self.action_size)
         start = self._parts.position(physics, self.tracked_body) if "start" in self._memory else None
         step = Step(physics, physics, nothing, nothing, self.dt, jnp, start=start, control=nothing)
-        info = {} if start is None else {"start": start}
+        info = of_the_terrain if start is None else {**of_the_terrain, "start": start}
         if "previous_action" in self._memory:
             info["previous_action"] = nothing
         if self._is_random:
@@ -174,6 +180,8 @@ class TaskEnv(MujocoEnv):
             times, carried = foot_times.after(info, step, self._parts)
             info |= carried
             step = replace(step, foot_times=times)
+        if self._grid is not None:
+            info[WALKED] = self._walked(self._grid, step, info)
         if (gait := self._options.gait) is not None:
             info["phase"] = (info["phase"] + gait.frequency * self.dt) % 1.0
         if (command := self._options.command) is not None:
@@ -192,6 +200,36 @@ class TaskEnv(MujocoEnv):
         if not command.follows:
             return {"command": drawn}
         return {"target": drawn, "command": command.told(drawn, step, self._parts)}
+
+    @property
+    def terrain_levels(self) -> TerrainGrid | None:
+        return self._grid if self._grid is not None and self._grid.has_curriculum else None
+
+    def at_terrain_cell(self, cell: jax.Array) -> "TaskEnv":
+        there = copy.copy(self)
+        there._cell = cell
+        return there
+
+    def _on_terrain(
+        self, key: jax.Array, model: ModelFields
+    ) -> tuple["TaskEnv", ModelFields, dict[str, jax.Array]]:
+        """The environment that begins where its ground is, the fields of the model, and entries of `info`."""
+        if self._grid is None:
+            return self, model, {}
+        fields, layout, lift = self._grid.draw(jax.random.fold_in(key, _OF_THE_TERRAIN), self._cell)
+        there = copy.copy(self)
+        there.initial_qpos = self.initial_qpos.at[self._parts.root_position + 2].add(lift)
+        return there, {**fields, **model}, {LAYOUT: layout, WALKED: jnp.zeros(3)}
+
+    def _walked(self, grid: TerrainGrid, step: Step, info: Mapping[str, jax.Array]) -> jax.Array:
+        here = self._parts.position(step.after, self.tracked_body)[:2]
+        way = asked = jnp.zeros(())
+        if isinstance(self._options.command, VelocityCommand) and step.command is not None:
+            speed = jnp.linalg.norm(step.command[:2])
+            along = jnp.dot(self._parts.base_linear_velocity(step)[:2], step.command[:2])
+            way = jnp.where(speed > 0, along / jnp.maximum(speed, 1e-6), 0.0) * self.dt
+            asked = speed * self.dt
+        return grid.walked(info[WALKED], here=here, way=way, asked=asked)
 
     def _control(self, action: jax.Array) -> jax.Array:
         if self._targets is None:
@@ -221,6 +259,8 @@ class TaskEnv(MujocoEnv):
         reset = self._options.reset
         if self._options.command is not None:
             raise NotSimulated("it follows commands")
+        if self._grid is not None:
+            raise NotSimulated("each episode has another terrain")
         return self.simulated(
             self._spec,
             observation=self._policy.shown(),
@@ -254,6 +294,8 @@ class TaskEnv(MujocoEnv):
     def _after(self, step: Step, info: Mapping[str, jax.Array]) -> State:
         if (gait := self._options.gait) is not None:
             step = replace(step, phases=gait.phases(info["phase"], step))
+        if self._grid is not None:
+            step = replace(step, ground=self._grid.ground(info))
         ended = [term.measure(step) for term in self._ends]
         obs, remembered = self._observe(step, info)
         return self.stepped(
@@ -264,7 +306,8 @@ class TaskEnv(MujocoEnv):
                 for name, weight, term in zip(self._names, self._weights, self._rewards, strict=True)
             },
             done=jnp.max(jnp.stack(ended)) if ended else jnp.zeros(()),
-            metrics={name: value for term in self._metrics for name, value in term.measure(step).items()},
+            metrics={name: value for term in self._metrics for name, value in term.measure(step).items()}
+            | ({} if self._grid is None else self._grid.metrics(info)),
             info={**info, **remembered},
         )
 
@@ -285,6 +328,15 @@ def _solver(options: TaskOptions) -> SolverSettings:
     return SolverSettings(
         options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
     )
+
+
+def _terrain(
+    options: TaskOptions, model: mujoco.MjModel, start: np.ndarray, named: ModelIndex
+) -> TerrainGrid | None:
+    if options.terrain is None:
+        return None
+    root = named.root_position
+    return TerrainGrid(options.terrain, model, start[root : root + 2])
 
 
 def _default_reward() -> list[AnyReward]:

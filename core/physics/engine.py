@@ -53,6 +53,7 @@ MODEL_FIELDS = (
     "geom_aabb",
     "geom_friction",
     "geom_pos",
+    "geom_quat",
     "geom_rbound",
     "geom_size",
     "geom_solref",

@@ -16,8 +16,8 @@ from core.reasons import Reason
 if TYPE_CHECKING:  # Code that only reads a model must not load JAX.
     from core.physics.engine import SolverSettings
 
-# Where geoms are and how large, and the bounds that MuJoCo derives from it.
-GEOMETRY = ("geom_aabb", "geom_pos", "geom_rbound", "geom_size")
+# Where geoms are, how turned and how large, and the bounds that MuJoCo derives from it.
+GEOMETRY = ("geom_aabb", "geom_pos", "geom_quat", "geom_rbound", "geom_size")
 _LEAST_ITERATIONS = 2
 _SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
 

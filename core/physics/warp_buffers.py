@@ -85,7 +85,7 @@ class WarpBuffers:
             model, data, self._num_substeps, self._inputs | sizes, self._outputs, self._derived
         )
         if "geom_pos" in own:
-            batch.fixed_geoms = FixedGeoms(self._model, data.qpos.device)
+            batch.fixed_geoms = FixedGeoms(self._model, own, data.qpos.device)
         return batch
 
 

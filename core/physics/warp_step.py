@@ -9,7 +9,7 @@ Geoms that never move have their places in each world: MuJoCo Warp places them o
 
 import os
 import threading
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
@@ -106,27 +106,42 @@ def _place(
     geom_xpos[world, geom] = origins[index] + rotations[index] @ geom_pos[world, geom]
 
 
-class FixedGeoms:
-    """Places of the geoms of bodies that never move."""
+@wp.kernel
+def _turn(
+    numbers: wp.array[int],
+    rotations: wp.array[wp.mat33],
+    geom_quat: wp.array2d[wp.quat],
+    geom_xmat: wp.array2d[wp.mat33],
+) -> None:
+    world, index = wp.tid()
+    geom = numbers[index]
+    q = geom_quat[world, geom]
+    # MuJoCo has the real part first, and Warp last.
+    turn = wp.quat_to_matrix(wp.quat(q[1], q[2], q[3], q[0]))  # pyright: ignore[reportArgumentType]
+    geom_xmat[world, geom] = rotations[index] @ turn  # pyright: ignore[reportOperatorIssue]
 
-    def __init__(self, model: mujoco.MjModel, device: Any) -> None:
+
+class FixedGeoms:
+    """The geoms of bodies that never move. own: the fields of the model that worlds have for themselves."""
+
+    def __init__(self, model: mujoco.MjModel, own: Collection[str], device: Any) -> None:
         at_rest = mujoco.MjData(model)
         mujoco.mj_kinematics(model, at_rest)
         numbers = np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0)
         bodies = model.geom_bodyid[numbers]
+        self._turns = "geom_quat" in own
         self._numbers = wp.array(numbers, dtype=int, device=device)
         self._origins = wp.array(at_rest.xpos[bodies], dtype=wp.vec3, device=device)
         self._rotations = wp.array(at_rest.xmat[bodies].reshape(-1, 3, 3), dtype=wp.mat33, device=device)
 
     def place(self, model: Any, data: Any) -> None:
-        """Sets their `geom_xpos` from the worlds' own `geom_pos`."""
-        wp.launch(
-            _place,
-            dim=(data.nworld, len(self._numbers)),
-            inputs=[self._numbers, self._origins, self._rotations, model.geom_pos],
-            outputs=[data.geom_xpos],
-            device=data.qpos.device,
-        )
+        """Sets their `geom_xpos` from the worlds' own `geom_pos`, and `geom_xmat` from their `geom_quat`."""
+        every: dict[str, Any] = {"dim": (data.nworld, len(self._numbers)), "device": data.qpos.device}
+        places = [self._numbers, self._origins, self._rotations, model.geom_pos]
+        wp.launch(_place, inputs=places, outputs=[data.geom_xpos], **every)
+        if self._turns:
+            turns = [self._numbers, self._rotations, model.geom_quat]
+            wp.launch(_turn, inputs=turns, outputs=[data.geom_xmat], **every)
 
 
 _BLOCK_DIM = 256  # Warp's default

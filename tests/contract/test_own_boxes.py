@@ -79,6 +79,48 @@ def test_a_ball_moves_over_each_environments_own_boxes(
     assert heights[3] < heights[2] < 0.0
 
 
+# A ball over the end of a ramp, which the model turns, on a body that is turned about the vertical.
+RAMP = """
+<mujoco>
+  <option timestep="0.005" iterations="10" ls_iterations="10"/>
+  <worldbody>
+    <body name="ground" euler="0 0 90">
+      <geom type="box" pos="0.1 0 0" size="1 1 0.1" euler="0 10 0"/>
+    </body>
+    <body name="ball" pos="0 0 0.25"><freejoint/><geom type="sphere" size="0.1"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("name", ["native", "compiled", *extra("warp"), SLOW_MJX])
+def test_a_ball_rolls_down_each_environments_own_ramp(
+    name: EngineName, request: pytest.FixtureRequest
+) -> None:
+    if name == "warp":
+        request.getfixturevalue("warp_kernels")
+    nominal = mujoco.MjModel.from_xml_string(RAMP)
+    models = [copy.copy(nominal) for _ in range(3)]
+    for model, angle in zip(models[1:], (0.4, -0.6), strict=True):
+        model.geom_quat[0] = [np.cos(angle / 2), 0, np.sin(angle / 2), 0]
+    qpos = np.array([0, 0, 0.25, 1, 0, 0, 0], np.float32)
+    engine = engine_builder(name)(nominal, NUM_SUBSTEPS, ("xpos",))
+    state = jax.jit(jax.vmap(engine.reset, (None, None, 0)))(qpos, np.zeros(6, np.float32), fields_of(models))
+    step = jax.jit(jax.vmap(engine.step, (0, None)))
+    for _ in range(NUM_STEPS):
+        state = step(state, jnp.zeros(0))
+    ends: list[np.ndarray] = []
+    for model in map(_loose, models):
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos
+        mujoco.mj_step(model, data, NUM_STEPS * NUM_SUBSTEPS)
+        ends.append(np.array(data.qpos))
+    np.testing.assert_allclose(state.qpos, ends, atol=2e-5 if name == "native" else 2e-3)
+    # Along the ramp's x, which is the world's y: the steeper, the farther; the last slopes the other way.
+    assert 0.0 < ends[0][1] < ends[1][1]
+    assert ends[2][1] < -ends[1][1]
+
+
 def _plain(model: mujoco.MjModel) -> np.ndarray:
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = QPOS, QVEL

@@ -18,7 +18,7 @@ from core.algorithms.experience import Starts, StepOutcomes, collect
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.spec import OffPolicySpec
 from core.environments.environment import Environment
-from core.environments.wrappers.autoreset import Episodes, fresh_states, start_episodes
+from core.environments.wrappers.autoreset import Episodes, fresh_pool, start_episodes
 from core.environments.wrappers.curriculum import at_progress, progress_at
 from core.environments.wrappers.vectorized import VectorEnv
 
@@ -114,7 +114,7 @@ def _starts(envs: VectorEnv, settings: OffPolicySpec, key: jax.Array) -> Starts 
     pool_key, choose_key = jax.random.split(key)
     shape = (settings.unroll_length, settings.num_envs)
     return Starts(
-        pool=fresh_states(envs, pool_key, settings.reset_pool_size),
+        pool=fresh_pool(envs, pool_key, settings.reset_pool_size),
         chosen=jax.random.randint(choose_key, shape, 0, settings.reset_pool_size),
     )
 

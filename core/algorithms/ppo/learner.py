@@ -43,7 +43,7 @@ from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.sharding import ONE_DEVICE, Sharding
 from core.environments.environment import Environment
 from core.environments.wrappers.action_repeat import repeat_action
-from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_states, start_episodes
+from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_pool, start_episodes
 from core.environments.wrappers.curriculum import at_progress, progress_at, progress_metrics
 from core.environments.wrappers.vectorized import VectorEnv
 
@@ -221,7 +221,7 @@ class Learner:
         shape = (settings.actions_per_update, settings.num_envs)
         return Starts(
             pool=self.sharding.everywhere(
-                fresh_states(self._envs_at(progress), pool_key, settings.reset_pool_size)
+                fresh_pool(self._envs_at(progress), pool_key, settings.reset_pool_size)
             ),
             chosen=self.sharding.split(
                 jax.random.randint(choose_key, shape, 0, settings.reset_pool_size), axis=1

@@ -42,7 +42,8 @@ def _of_the_curriculum(environment: EnvironmentInfo) -> list[Problem]:
         "Episodes of q_learning begin as the options say, so a curriculum would change nothing: leave it "
         "out, or take ppo, sac or dqn."
     )
-    return [Problem(place, detail) for place in ("/environment/options/curriculum", "/algorithm/kind")]
+    option = f"/environment/options/{environment.curriculum_option}"
+    return [Problem(place, detail) for place in (option, "/algorithm/kind")]
 
 
 def _of_the_table(settings: QLearningSpec, environment: EnvironmentInfo) -> list[Problem]:

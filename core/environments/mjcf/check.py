@@ -118,6 +118,20 @@ def _of_options(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     yield from _of_patterns(options, parts)
     yield from _of_delays(options, model)
     yield from _of_reset(options.reset, model)
+    if options.terrain is not None:
+        yield from _of_terrain(options.root or model.root, parts)
+
+
+def _of_terrain(root: str, parts: _Parts) -> Iterator[Problem]:
+    """A robot that cannot begin at another height, and ground that would be in a terrain's way."""
+    if root not in parts.free:
+        yield Problem(f"{_OPTIONS}/terrain", f"A terrain needs {_NEEDED['free_root'].format(root=root)}.")
+    if parts.model.has_level_floor is False:
+        yield Problem(
+            f"{_OPTIONS}/terrain",
+            "A terrain's boxes stand on a level plane that is all of the world that can be touched, and the "
+            "model has none: add one (`edits.floor`), or let nothing else of the world collide.",
+        )
 
 
 def _of_delays(options: TaskOptions, model: Inventory) -> Iterator[Problem]:
@@ -151,6 +165,7 @@ def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
         "foot_colliders": not bare,
         "free_root": root in parts.free,
         "gait": options.gait is not None,
+        "terrain": options.terrain is not None,
     }
     for pointer, term in _terms(options):
         for need in sorted(term.needed - {need for need, is_there in has.items() if is_there}):
@@ -215,6 +230,7 @@ _NEEDED: dict[Need, str] = {
     "foot_colliders": "feet that can touch something, and no geom of {foot!r} can",
     "free_root": "a free joint of the root, and the body {root!r} has none",
     "gait": "a `gait`",
+    "terrain": "a `terrain`",
 }
 
 

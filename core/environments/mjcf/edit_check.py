@@ -109,6 +109,7 @@ def edited(model: Inventory, edits: ModelEdits) -> Inventory:
                 update={"nu": len(actuators), "ngeom": model.sizes.ngeom + len(floor)}
             ),
             "geoms": [*floor, *model.geoms],
+            "has_level_floor": bool(floor) or model.has_level_floor,
             "keyframes": model.keyframes if edits.pose is None else [*keyframes, HOME],
             "colliders": _colliders(model, edits),
             "num_pairs": _num_pairs(model, edits),

@@ -12,6 +12,7 @@ from core.environments.mjcf.model import compiled, read
 from core.environments.task import TaskEnv
 from core.environments.terms.describe import inventory
 from core.environments.terms.task import TaskOptions
+from core.environments.terrain.model import add_boxes
 from core.errors import JobFailed, Problem
 from core.physics.engine import EngineBuilder
 from core.reasons import Reason
@@ -32,6 +33,8 @@ def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None =
         parts = inventory(compiled(spec, options.timestep))
         task = _from_the_pose(options)
         _check(problems(task, parts))
+        if options.terrain is not None:
+            add_boxes(spec, compiled(spec), options.terrain)
         stepped = compiled(spec, options.timestep, task.readings(parts), task.sensors)
         _check(holding.problems(stepped, options.edits, _EDITS))
         return TaskEnv(task, parts, spec, stepped, build_engine)

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from core.environments.info import EnvironmentInfo
 from core.environments.mjcf.edit_options import ModelEdits
-from core.environments.terms.task import TaskOptions, observations_of
+from core.environments.terms.task import TaskOptions, varied
 from core.physics.availability import BodySize, Rule
 
 ModelId = Annotated[
@@ -35,7 +35,9 @@ INFO = EnvironmentInfo(
     tracked_body="",
     options=MjcfOptions,
     takes_model=True,
-    vary=observations_of,
+    vary=varied,
+    free_in_rollouts=("terrain",),
+    curriculum_option="terrain/curriculum",
     on_a_cpu=(
         Rule(
             "compiled",

@@ -41,8 +41,8 @@ from core.environments.terms.task import (
     Rewards,
     TaskOptions,
     Terminations,
-    observations_of,
     task_slices,
+    varied,
 )
 from core.environments.terms.terminations import NotUpright, OutsideHeightRange
 from core.environments.terms.tracking import Command, TrackAngularVelocity, TrackLinearVelocity
@@ -170,10 +170,12 @@ def _row(robot: Robot, options: type[TaskOptions], description: str) -> Environm
         tracked_body=robot.root,
         cameras=tuple(parts.cameras),
         options=options,
-        vary=observations_of,
         slices=partial(_slices, robot=robot.name),
         check=partial(_check, robot=robot.name),
         package=robot.package,
+        free_in_rollouts=("terrain",),
+        curriculum_option="terrain/curriculum",
+        vary=varied,
         on_a_cpu=(Rule("compiled", 1, "The robot's code is compiled for it alone."),),
         on_a_gpu=(Rule("compiled", 1, "The robot's code is compiled for it alone."),),
     )

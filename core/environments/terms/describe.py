@@ -24,6 +24,8 @@ _TRIED_POSES = 5
 # m of the body per rad or m of a joint: less is rounding.
 _NO_MOTION = 1e-9
 _FAR = 100.0
+# Of the cosine of a plane's tilt: less is rounding.
+_NO_TILT = 1e-9
 
 
 def inventory(model: mujoco.MjModel) -> Inventory:
@@ -49,10 +51,19 @@ def inventory(model: mujoco.MjModel) -> Inventory:
         num_pairs=_num_pairs(model),
         colliders={name: _welded(model, geom) for geom in moving if (name := model.geom(geom).name)},
         num_fixed_colliders=len(fixed),
+        has_level_floor=len(fixed) == 1 and is_level_plane(model, fixed[0]),
         fixed_geoms=[
             name for geom in np.flatnonzero(~moving_geoms(model)).tolist() if (name := model.geom(geom).name)
         ],
     )
+
+
+def is_level_plane(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether the geom is a plane whose normal is vertical."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    is_plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
+    return bool(is_plane and data.geom_xmat[geom, 8] > 1.0 - _NO_TILT)
 
 
 def touchable(model: mujoco.MjModel) -> tuple[list[int], list[int]]:

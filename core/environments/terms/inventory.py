@@ -83,6 +83,7 @@ class Inventory(Stored):
     colliders: dict[str, list[str]] | None = None
     num_fixed_colliders: int = 0
     fixed_geoms: list[str] = []
+    has_level_floor: bool | None = None
 
     @property
     def body_size(self) -> BodySize | None:

@@ -18,6 +18,7 @@ from core.environments.terms.feet import Foot
 from core.environments.terms.foot_times import FootTimes
 from core.environments.terms.readings import ContactCount, ContactForce, is_added
 from core.environments.terms.term import Array
+from core.environments.terms.terrain import Ground
 from core.physics.model import model_field
 
 # A command below this norm (m/s, rad/s; m to a point) is to stand still.
@@ -30,7 +31,8 @@ class Step:
     previous_action: [nu], each in [-1, 1]; the latter is zero in an episode's first step. dt: its duration
     in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`. command: [n], as its action knew it;
     None without one. target: what was drawn, of commands that follow from it. phases: of the gait's clock,
-    [feet] in rad. control: [nu], what the action set.
+    [feet] in rad. control: [nu], what the action set. ground: None without a
+    terrain.
 
     For terms that remember them: previous_action; start: the root's position [3] at the episode's start, in
     m; foot_times; earlier_action: [nu], the one before the previous one.
@@ -49,6 +51,7 @@ class Step:
     foot_times: FootTimes | None = None
     earlier_action: Array = None
     control: Array = None
+    ground: Ground | None = None
 
     @property
     def is_moving(self) -> Array:
@@ -247,6 +250,11 @@ class ModelIndex:
         return step.xp.sum(step.xp.stack(rows, 1) + step.xp.cross(moment, velocity[:, 3:]), 0)
 
     @property
+    def root_position(self) -> int:
+        """The first place in qpos of the root's free joint."""
+        return int(self.model.jnt_qposadr[self.model.body_jntadr[self.root]])
+
+    @property
     def root_velocities(self) -> slice:
         """The places in qvel of the root's free joint."""
         start = int(self.model.jnt_dofadr[self.model.body_jntadr[self.root]])
@@ -280,8 +288,12 @@ class ModelIndex:
         return step.xp.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
     def foot_heights(self, step: Step) -> Array:
-        """How far the sole of each foot is above the ground, [feet] in m."""
+        """How far the sole of each foot is above the ground below it, [feet] in m."""
         bodies = self._foot_bodies
+        if step.ground is not None:
+            points = step.after.derived["xpos"][bodies] + self._foot_points(step.after, step)
+            radii = step.array([foot.radius for foot in self.feet])
+            return points[:, 2] - radii - step.ground.height(points[:, :2], step.xp)
         below = step.array([foot.radius + foot.ground for foot in self.feet])
         return step.after.derived["xpos"][bodies, 2] + self._foot_points(step.after, step)[:, 2] - below
 
@@ -318,7 +330,7 @@ class ModelIndex:
 
     def _turned_back(self, step: Step, vector: Array) -> Array:
         """Rᵀ v, by the unit quaternion of the root's free joint."""
-        start = int(self.model.jnt_qposadr[self.model.body_jntadr[self.root]])
+        start = self.root_position
         quaternion = step.after.qpos[start + 3 : start + 7]
         xp = step.xp
         quaternion = quaternion / xp.linalg.norm(quaternion)  # Noise at a reset has changed its length.

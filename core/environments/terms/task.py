@@ -24,6 +24,7 @@ from core.environments.terms.observations import ObservationTerm, Qpos, Qvel, Se
 from core.environments.terms.readings import Reading
 from core.environments.terms.term import Memory, Name, Term
 from core.environments.terms.terminations import AnyTermination
+from core.environments.terms.terrain import Terrain
 from core.environments.terms.vocabulary import AnyCriticObservation, AnyObservation, AnyReward
 
 MOST_FEET = 8
@@ -107,6 +108,10 @@ class TaskOptions(Strict):
     )
     events: Events = Field(default=[], description="What happens to the body within an episode.")
     reset: Reset = Reset()
+    terrain: Terrain | None = Field(
+        default=None,
+        description="Uneven ground, another in each episode; null: the model's own ground alone.",
+    )
     n_frames: int | None = Field(
         default=None, ge=1, le=1000, description="Physics steps per action; null: as many as fill 0.02 s."
     )
@@ -183,9 +188,12 @@ def task_slices(options: TaskOptions, model: Inventory, unit_of_action: str | No
     return Spaces(in_order(seen), in_order(acts), in_order(by_critic))
 
 
-def observations_of(options: TaskOptions) -> Mapping[str, Any]:
-    """What these options change of the catalog's row: the names of its observations."""
-    return {"observations": (POLICY_GROUP, *([CRITIC_GROUP] if options.critic else []))}
+def varied(options: TaskOptions) -> Mapping[str, Any]:
+    """What these options change of the catalog's row."""
+    return {
+        "observations": (POLICY_GROUP, *([CRITIC_GROUP] if options.critic else [])),
+        "has_curriculum": options.terrain is not None and options.terrain.has_curriculum,
+    }
 
 
 def _ends(options: TaskOptions, actuator: Actuator) -> tuple[float | None, float | None]:

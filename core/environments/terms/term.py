@@ -63,7 +63,7 @@ def whole_steps(delay: tuple[float, float] | None, control_step_s: float) -> ran
 # this kind, or with this part.
 Need = Literal[
     "command", "command_height", "command_pitch", "feet", "foot_colliders", "free_root", "gait",
-    "position_command", "velocity_command",
+    "position_command", "terrain", "velocity_command",
 ]  # fmt: skip
 # What is carried from step to step for the terms that read it, by the names of `Step`.
 Memory = Literal["earlier_action", "foot_times", "previous_action", "start"]
@@ -131,13 +131,18 @@ class OfAxis(OfBody):
 
 class OfHeight(OfBody):
     range: OpenRange = Field(
-        description="[lowest, highest] in metres above the world's origin; null above: no bound."
+        description="[lowest, highest] in metres above the world's origin, or above the ground of a terrain; "
+        "null above: no bound."
     )
 
     def is_inside(self, step: "Step", model: "ModelIndex") -> Array:
         """1 where the body's height is in the range, otherwise 0; 1 also for NaN. []."""
         low, high = self.range
-        height = model.position(step.after, model.body(self.body))[2]
+        place = model.position(step.after, model.body(self.body))
+        height = place[2]
+        if step.ground is not None:
+            # Over a hole, the ground about it counts.
+            height = height - step.xp.maximum(step.ground.height(place[:2], step.xp), step.ground.lowest)
         outside = height < low if high is None else (height < low) | (height > high)
         return step.xp.where(outside, 0.0, 1.0)
 

@@ -8,7 +8,7 @@ from pydantic import Field
 from core.environments.numbers import Ends, NotSimulated, Numbers, numbers
 from core.environments.options import Range
 from core.environments.patterns import PATTERNS, Patterns
-from core.environments.terms.term import Array, OfAxis, OfBodyContact, OfContact, OfHeight, Term
+from core.environments.terms.term import Array, OfAxis, OfBody, OfBodyContact, OfContact, OfHeight, Term
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -129,6 +129,19 @@ class OutsideJointRange(TerminationTerm):
         return numbers("qvel", model.joint_velocities(self.joints))
 
 
+class FellIntoHole(OfBody, TerminationTerm):
+    """The body is lower than all ground that is no hole: it fell between stones, or into a gap."""
+
+    needs = frozenset({"terrain"})
+
+    kind: Literal["fell_into_hole"] = "fell_into_hole"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        height = model.position(step.after, model.body(self.body))[2]
+        lowest = 0.0 if step.ground is None else step.ground.lowest
+        return step.xp.where(height < lowest, 1.0, 0.0)
+
+
 AnyTermination = Annotated[
     OutsideHeightRange
     | OutsideJointRange
@@ -136,6 +149,7 @@ AnyTermination = Annotated[
     | Touching
     | IllegalContact
     | BadOrientation
-    | OutOfBounds,
+    | OutOfBounds
+    | FellIntoHole,
     Field(discriminator="kind"),
 ]

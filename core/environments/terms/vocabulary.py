@@ -9,9 +9,10 @@ from core.environments.terms.locomotion import WalkingObservation, WalkingReward
 from core.environments.terms.observations import NumbersOfMujoco
 from core.environments.terms.randomized import Randomized
 from core.environments.terms.rewards import CommonReward
+from core.environments.terms.terrain import HeightScan
 from core.environments.terms.tracking import Command, TrackingReward
 
-_Observation = NumbersOfMujoco | WalkingObservation | FootObservation | Command
+_Observation = NumbersOfMujoco | WalkingObservation | FootObservation | Command | HeightScan
 AnyObservation = Annotated[_Observation, Field(discriminator="kind")]
 # No robot knows which physics was drawn for it, so only a value function may see that.
 AnyCriticObservation = Annotated[_Observation | Randomized, Field(discriminator="kind")]

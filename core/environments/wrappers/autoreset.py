@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from core.environments.environment import State
+from core.environments.wrappers.terrain_levels import cells_of_pool, first_cells
 from core.environments.wrappers.vectorized import VectorEnv
 
 Tree = TypeVar("Tree")
@@ -40,7 +41,7 @@ class Episodes:
 
 def start_episodes(envs: VectorEnv, key: jax.Array, num_envs: int, *, keep_first: bool = False) -> Episodes:
     """`num_envs` fresh episodes; keep_first: remember their first states, to return to them."""
-    state = fresh_states(envs, key, num_envs)
+    state = fresh_states(envs, key, num_envs, first_cells(envs.environment, key, num_envs))
     zeros = jnp.zeros(num_envs)
     count = jnp.zeros(num_envs, jnp.int32)
     return Episodes(
@@ -64,9 +65,15 @@ def begun_at_random(episodes: Episodes, key: jax.Array, *, episode_length: int) 
     return replace(episodes, length=length)
 
 
-def fresh_states(envs: VectorEnv, key: jax.Array, num_states: int) -> State:
-    """Initial states [num_states, ...], each from its own key."""
-    return envs.reset(jax.random.split(key, num_states))
+def fresh_states(envs: VectorEnv, key: jax.Array, num_states: int, cells: jax.Array | None = None) -> State:
+    """Initial states [num_states, ...], each from its own key. cells: of a terrain; None: any."""
+    return envs.reset(jax.random.split(key, num_states), cells)
+
+
+def fresh_pool(envs: VectorEnv, key: jax.Array, size: int) -> State:
+    """Initial states [size, ...]; a few more where a terrain's levels need it, to have as many of each."""
+    cells = cells_of_pool(envs.environment, size)
+    return fresh_states(envs, key, size if cells is None else len(cells), cells)
 
 
 def draw(pool: State, chosen: jax.Array) -> State:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 
 from core.environments.environment import Environment, State
+from core.environments.wrappers.terrain_levels import at_cell
 
 # The name of the only axis of a mesh: environments lie along it.
 ENVS = "envs"
@@ -25,13 +26,19 @@ class VectorEnv:
     environment: Environment
     mesh: Mesh | None = None
 
-    def reset(self, keys: jax.Array) -> State:
-        """A fresh state for each of the keys [N, ...]."""
+    def reset(self, keys: jax.Array, cells: jax.Array | None = None) -> State:
+        """A fresh state for each of the keys [N, ...]. cells: of a terrain, [N] int32; None: any."""
         num_states, num_parts = len(keys), 1 if self.mesh is None else self.mesh.size
-        whole_parts = -(-num_states // num_parts) * num_parts
-        filled = jnp.concatenate([keys, jnp.repeat(keys[-1:], whole_parts - num_states, axis=0)])
-        states = self._side_by_side(self.environment.reset)(filled if whole_parts > num_states else keys)
-        return jax.tree.map(lambda x: x[:num_states], states) if whole_parts > num_states else states
+        missing = -num_states % num_parts
+        inputs = (keys,) if cells is None else (keys, cells)
+        if missing:
+            inputs = tuple(jnp.concatenate([x, jnp.repeat(x[-1:], missing, axis=0)]) for x in inputs)
+        reset = self.environment.reset if cells is None else self._reset_in_cell
+        states = self._side_by_side(reset)(*inputs)
+        return jax.tree.map(lambda x: x[:num_states], states) if missing else states
+
+    def _reset_in_cell(self, key: jax.Array, cell: jax.Array) -> State:
+        return at_cell(self.environment, cell).reset(key)
 
     def step(self, states: State, actions: jax.Array) -> State:
         """The states [N, ...] after an action [N, action_size] each; N is a multiple of the devices."""

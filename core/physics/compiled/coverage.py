@@ -66,10 +66,23 @@ def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
 def uncovered_own(model: mujoco.MjModel, names: Sequence[str], derived: Sequence[str] = ()) -> str | None:
     """The first reason why environments cannot have these fields of the model for themselves, where these
     derived fields are read."""
-    reads_geoms = sorted({"geom_xpos", "sensordata"}.intersection(derived))
-    if reads_geoms and (moved := sorted(set(GEOMETRY).intersection(names))):
-        return f"{moved[0]}: {reads_geoms[0]} is read, which has the geoms where the model has them"
+    if moved := sorted(set(GEOMETRY).intersection(names)):
+        if "geom_xpos" in derived:
+            return f"{moved[0]}: geom_xpos is read, which has the geoms where the model has them"
+        if "sensordata" in derived and (sensor := _reads_a_fixed_box(model)) is not None:
+            return (
+                f"{moved[0]}: its sensor {named(model, 'sensor', sensor)} reads a box where the model has it"
+            )
     return next((reason for name in names for reason in _own(model, name)), None)
+
+
+def _reads_a_fixed_box(model: mujoco.MjModel) -> int | None:
+    """The first sensor that reads a box that never moves; its contacts, too, where it must tell it from other
+    boxes."""
+    geom, boxes = mujoco.mjtObj.mjOBJ_GEOM, fixed_boxes(model)
+    reads = (model.sensor_objtype == geom) & np.isin(model.sensor_objid, boxes)
+    reads |= (model.sensor_reftype == geom) & np.isin(model.sensor_refid, boxes)
+    return next(iter(np.flatnonzero(reads).tolist()), None)
 
 
 def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:

@@ -2,7 +2,8 @@
 
 The program is written before the layouts are known. What must hold in all of them the model says: the numeric
 `box_spacing` has in place k - 1 the least free length, in m, between a box and the k-th after it in the order
-of their numbers, in any layout. Boxes differ only along the axes along which the model's own boxes differ.
+of their numbers, in any layout; boxes that the model turns do not count. Boxes differ only along the axes
+along which the model's own boxes differ, and are turned otherwise only where the model turns them.
 """
 
 from dataclasses import dataclass
@@ -15,20 +16,26 @@ from core.physics.compiled.program.arithmetic import Vector
 from core.physics.model import GEOMETRY
 
 _SPACING = "box_spacing"
+# Of a quaternion's imaginary part: less is rounding.
+_SMALLEST_TURN = 1e-9
 
 
 @dataclass(frozen=True)
 class OwnBoxes:
-    """spacing: see the module. pos, size: whether boxes differ along each axis, [3]."""
+    """spacing: see the module. pos, size: whether boxes differ along each axis, [3]. turned: the numbers of
+    those that are turned."""
 
     spacing: tuple[float, ...]
     pos: tuple[bool, ...]
     size: tuple[bool, ...]
+    turned: frozenset[int] = frozenset()
 
     def most_in_reach(self, reach: float) -> int:
-        """To how many boxes that follow each other a geom may be near at once. reach: see `Choice`."""
+        """The least number k such that a geom is near one box at most of any box and the k-th, 2k-th, … after
+        it. reach: see `Choice`."""
         far_enough = [space > 2.0 * reach for space in self.spacing]
-        return [*far_enough, True].index(True) + 1
+        steps = range(1, len(far_enough) + 1)
+        return next((k for k in steps if all(far_enough[k - 1 :: k])), len(far_enough) + 1)
 
 
 def own_boxes(fields: Fields) -> OwnBoxes | None:
@@ -42,8 +49,16 @@ def own_boxes(fields: Fields) -> OwnBoxes | None:
         tuple(bool(x) for x in np.ptp(values[fixed], axis=0) > 0)
         for values in (model.geom_pos, model.geom_size)
     )
+    turned = frozenset(box for box in fixed.tolist() if _is_turned(model, box))
     every = (True,) * 3
-    return OwnBoxes(box_spacing(model), pos, size) if len(fixed) > 1 else OwnBoxes((), every, every)
+    if len(fixed) == 1:
+        return OwnBoxes((), every, every, turned)
+    return OwnBoxes(box_spacing(model), pos, size, turned)
+
+
+def _is_turned(model: mujoco.MjModel, box: int) -> bool:
+    """Whether the box is turned within its body."""
+    return bool(np.abs(model.geom_quat[box, 1:]).max() > _SMALLEST_TURN)
 
 
 def own_numbers(fields: Fields, name: str, number: int, differs: tuple[bool, ...]) -> Vector:

@@ -7,7 +7,16 @@ import numpy as np
 
 from core.physics.compiled.collisions.own_boxes import OwnBoxes, fixed_boxes, own_boxes, own_numbers
 from core.physics.compiled.fields import Fields
-from core.physics.compiled.program.arithmetic import Matrix, Number, Vector, add, rotate, transpose
+from core.physics.compiled.program.arithmetic import (
+    Matrix,
+    Number,
+    Vector,
+    add,
+    product,
+    rotate,
+    rotation_matrix,
+    transpose,
+)
 from core.physics.compiled.smooth.kinematics import Poses
 
 # In m, between geoms at a point that is not there.
@@ -113,9 +122,13 @@ def _own_box(fields: Fields, own: OwnBoxes, box: Geom, at_rest: mujoco.MjData) -
     body = int(fields.model.geom_bodyid[box.number])
     to_world = [_rounded(row) for row in at_rest.xmat[body].reshape(3, 3)]
     place = own_numbers(fields, "geom_pos", box.number, own.pos)
+    rotation = box.rotation
+    if box.number in own.turned and "geom_quat" in fields.own:
+        rotation = product(to_world, rotation_matrix(fields.row("geom_quat", box.number)))
     return replace(
         box,
         position=add(_rounded(at_rest.xpos[body]), rotate(to_world, place)),
+        rotation=rotation,
         size=own_numbers(fields, "geom_size", box.number, own.size),
     )
 

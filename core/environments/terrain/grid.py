@@ -1,0 +1,103 @@
+"""The terrain of each episode: a cell of a grid of kinds and levels, and which cell follows it."""
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from core.environments.environment import State
+from core.environments.terms.terrain import Ground, Terrain
+from core.environments.terrain.layouts import NUM_VARIANTS, REACH, draw_layouts
+from core.environments.terrain.model import boxes_of, floor_of
+from core.physics.engine import ModelFields
+
+# The entries of `State.info`: [] int32, which layout; and [3] in m, the largest distance from the start, and
+# how far the root went along its commands and how far they asked it to go.
+LAYOUT, WALKED = "terrain", "walked"
+
+
+class TerrainGrid:
+    """The layouts of a terrain about one place.
+
+    model: has the terrain's boxes. centre: x and y of the start, in m.
+    """
+
+    def __init__(self, terrain: Terrain, model: mujoco.MjModel, centre: np.ndarray) -> None:
+        self._layouts = draw_layouts(terrain)
+        self._boxes = boxes_of(model)
+        self._nominal = {
+            name: jnp.asarray(getattr(model, name), jnp.float32)
+            for name in ("geom_aabb", "geom_pos", "geom_quat", "geom_rbound", "geom_size")
+        }
+        floor = floor_of(model)
+        self._origin = np.array([*centre, model.geom_pos[floor, 2]], np.float32)
+        self._low, self._num_levels = terrain.levels[0], terrain.num_levels
+        self.num_cells = len(terrain.kinds) * terrain.num_levels
+        self.has_curriculum = terrain.has_curriculum
+
+    def draw(self, key: jax.Array, cell: jax.Array | None) -> tuple[ModelFields, jax.Array, jax.Array]:
+        """The fields of the model, the layout [] int32 and the height of the ground at the start [] in m.
+
+        cell: kind × levels + level, [] int32; None: any.
+        """
+        cell_key, variant_key = jax.random.split(key)
+        if cell is None:
+            cell = jax.random.randint(cell_key, (), 0, self.num_cells)
+        layout = cell * NUM_VARIANTS + jax.random.randint(variant_key, (), 0, NUM_VARIANTS)
+        return self._fields(layout), layout, jnp.asarray(self._layouts.lift)[layout]
+
+    def _fields(self, layout: jax.Array) -> ModelFields:
+        if not self._boxes.size:
+            return {}
+        layouts, boxes = self._layouts, self._boxes
+        sizes = jnp.asarray(layouts.sizes)[layout]
+        own = {
+            "geom_pos": jnp.asarray(layouts.places + self._origin)[layout],
+            "geom_size": sizes,
+            "geom_rbound": jnp.linalg.norm(sizes, axis=-1),
+            "geom_aabb": jnp.concatenate([jnp.zeros_like(sizes), sizes], axis=-1),
+            "geom_quat": jnp.asarray(layouts.quaternions)[layout],
+        }
+        return {name: self._nominal[name].at[boxes].set(values) for name, values in own.items()}
+
+    def ground(self, info: Mapping[str, jax.Array]) -> Ground:
+        x, y, floor = self._origin
+        tops = jnp.asarray(self._layouts.tops + np.array([x, y, 0, 0, floor, 0], np.float32))
+        return Ground(tops[info[LAYOUT]], jnp.asarray(self._layouts.lowest + floor)[info[LAYOUT]])
+
+    def metrics(self, info: Mapping[str, jax.Array]) -> dict[str, jax.Array]:
+        """The level of the episode, and for each level whether it is that one: their means are shares."""
+        level = self._low + info[LAYOUT] // NUM_VARIANTS % self._num_levels
+        levels = range(self._low, self._low + self._num_levels)
+        shares = {f"terrain_level_{n}": jnp.where(level == n, 1.0, 0.0) for n in levels}
+        return {"terrain_level": level.astype(jnp.float32)} | (shares if self._num_levels > 1 else {})
+
+    def walked(self, walked: jax.Array, *, here: jax.Array, way: jax.Array, asked: jax.Array) -> jax.Array:
+        """`WALKED` after a step. here: x and y of the root. way, asked: those of the step alone."""
+        distance = jnp.linalg.norm(here - self._origin[:2])
+        return jnp.stack([jnp.maximum(walked[0], distance), walked[1] + way, walked[2] + asked])
+
+    def first_cells(self, key: jax.Array, number: int) -> jax.Array:
+        """Where environments begin, [number] int32: all kinds, at any of the lower half of the levels."""
+        kind_key, level_key = jax.random.split(key)
+        kinds = jax.random.randint(kind_key, (number,), 0, self.num_cells // self._num_levels)
+        levels = jax.random.randint(level_key, (number,), 0, -(-self._num_levels // 2))
+        return kinds * self._num_levels + levels
+
+    def next_cell(self, state: State, any_level: jax.Array) -> jax.Array:
+        """The cell after an episode, [] int32: of the same kind. state: its last, with `done` 1 if it fell.
+
+        An environment that walked off the terrain goes up a level, from the highest to `any_level` [] int32.
+        One that fell, or went less than half as far as its commands asked, goes down.
+        Source: `terrain_levels_vel` of Isaac Lab; Rudin et al., Learning to Walk in Minutes (2022).
+        """
+        cell = state.info[LAYOUT] // NUM_VARIANTS
+        kind, level = cell // self._num_levels, cell % self._num_levels
+        distance, way, asked = state.info[WALKED]
+        is_up = distance > REACH
+        is_down = ~is_up & ((state.done > 0) | (way < 0.5 * asked))
+        level = level + is_up.astype(jnp.int32) - is_down.astype(jnp.int32)
+        level = jnp.where(level >= self._num_levels, any_level % self._num_levels, jnp.maximum(level, 0))
+        return kind * self._num_levels + level
