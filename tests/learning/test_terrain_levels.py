@@ -52,6 +52,7 @@ def followed(run: Run[Any]) -> tuple[list[dict[str, float]], dict[int, bytes]]:
     return metrics, kept
 
 
+@pytest.mark.extra
 def test_who_walks_goes_up_and_a_resumed_run_has_the_same_levels(tmp_path: Path) -> None:
     # It flies at up to 10 m/s, and is off the terrain of 3 m within an episode.
     flies = {"reset": {"position_noise": 0.0, "velocity_noise": 10.0}, "termination": []}
