@@ -1,4 +1,4 @@
-"""`gaitway export --format robot` `deploy.py robot.onnx robot.xml`; arrows steer, other keys stop."""
+"""`gaitway export --format robot` in MuJoCo: `deploy.py robot.onnx robot.xml`; arrows steer, others stop."""
 
 import argparse
 import json

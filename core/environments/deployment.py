@@ -136,7 +136,7 @@ def _seen(term: ObservationTerm, index: ModelIndex, parts: ModelParts) -> SeenTe
         size=sum(part.size for part in term.slices(parts)),
         scale=term.scale,
         clip=term.clip,
-        history=int(getattr(term, "history", 1)),
+        history=term.history,
         sensed=term.sensed(index, parts),
     )
 

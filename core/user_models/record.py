@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from core.accounts.principal import Ownership
 from core.documents import Stored
@@ -22,7 +22,9 @@ class Description(Stored):
     engines will be tried. trials: how each engine moved the model beside C MuJoCo, or why it was not tried
     here. code_seconds: how long its code took to make there. auto: the engine that a job with the tuned
     settings gets, by device. physics_steps_per_second: of C MuJoCo on one core, without actions.
-    settled_height: the root's, in metres, after up to 2 s of that. notes: for people.
+    settled_height: the root's, in metres, after up to 2 s of that. notes: for people. recipe: options of
+    `mjcf` under which the model learns to walk by command, without its id; None where there are none, or it
+    was described before there were recipes. recipe_notes: what was guessed in it, or why there is none.
     """
 
     inventory: Inventory
@@ -35,6 +37,8 @@ class Description(Stored):
     physics_steps_per_second: float
     settled_height: float
     notes: list[str] = []
+    recipe: dict[str, Any] | None = None
+    recipe_notes: list[str] = []
 
 
 class ModelRecord(Stored):

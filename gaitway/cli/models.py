@@ -1,5 +1,6 @@
 """`gaitway models add`, `list`, `show`, `delete`: users' own models."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -60,10 +61,22 @@ def list_all(
 
 
 @models.command()
-def show(context: typer.Context, model: ModelName, as_json: AsJson = False) -> None:
+def show(
+    context: typer.Context,
+    model: ModelName,
+    recipe: Annotated[
+        bool,
+        typer.Option("--recipe", help="Print a job instead, in which the robot learns to walk by command."),
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
     """Show what is in a model."""
     client = client_of(context)
-    _told(client.model(model_id(client, model)), as_json)
+    found = client.model(model_id(client, model))
+    if recipe:
+        _recipe(found)
+    else:
+        _told(found, as_json)
 
 
 @models.command()
@@ -99,6 +112,18 @@ def _told(model: ModelView, as_json: bool) -> None:
     if model.description:
         for line in _lines(model.description):
             print(f"  {line}")
+
+
+def _recipe(model: ModelView) -> None:
+    """Print the job, and on the standard error what was guessed in it. Exits with 1 where there is none."""
+    found = model.description or {}
+    for note in found.get("recipe_notes", []):
+        print(note, file=sys.stderr)
+    if not found.get("recipe"):
+        print("There is no recipe for this model.", file=sys.stderr)
+        raise typer.Exit(1)
+    options = {"model": model.id, **found["recipe"]}
+    print_json({"kind": "train", "environment": {"id": "mjcf", "options": options}})
 
 
 def _how(tried: str | None, seconds: float | None) -> str:

@@ -1,5 +1,6 @@
 """Examines a model: compiles it, lets it fall, and loads it into each engine."""
 
+import json
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -8,11 +9,13 @@ from typing import get_args
 import mujoco
 import numpy as np
 
+from core.environments.mjcf.edits import edits_for_compiled, without_drawings
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, is_to_sleep, read
+from core.environments.mjcf.recipe import NoRecipe, Recipe, recipe
 from core.environments.terms.describe import can_go_forward, inventory, root_of
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.task import LONGEST_STEP_S, SHORTEST_STEP_S
-from core.errors import BadModel
+from core.errors import BadModel, JobFailed
 from core.physics.availability import EngineName
 from core.physics.compiled.refusal import check_covered
 from core.physics.coverage import check_runs, unread_sensors
@@ -20,6 +23,8 @@ from core.user_models.record import Description
 from worker.validation.letting_go import let_go, notes
 from worker.validation.trials import tried, what_keeps, with_choices
 
+_DRIVEN = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_NO_ACTUATORS = "It has no actuators: jobs give it servos (`edits.servos`)."
 _MUST_BE_FINITE = (
     *("actuator_gainprm", "actuator_gear", "body_inertia", "body_mass", "body_pos", "body_quat"),
     *("dof_armature", "dof_damping", "geom_pos", "geom_size", "jnt_range", "jnt_stiffness", "qpos0"),
@@ -34,22 +39,29 @@ def findings(file: Path) -> Iterator[Description]:
     with read(file) as (spec, main):
         sleeps = is_to_sleep(spec)
         model = compiled(spec)
+        _check(model)
+        walking = _walking(spec)
+        engines = _judged_by_reading(model)
+        if (why := engines["compiled"]) is not None:
+            engines["compiled"] = _with_a_remedy(why, spec, model)
         found = _with_unread_sensors(inventory(model), model)
         readable = [sensor.name for sensor in found.sensors if sensor.name and not sensor.beyond]
         stepped = compiled(spec, sensors=readable)
-    _check(model)
     fall = let_go(model)
     description = Description(
         inventory=found,
         main=main,
-        engines=_judged_by_reading(model),
+        engines=engines,
         physics_steps_per_second=fall.steps_per_second,
         settled_height=float(fall.ended[2]),
         notes=[
             *([SLEEP_IS_OFF] if sleeps else []),
             *notes(model, found, fall),
             *_of_the_default_reward(model),
+            *([] if model.nu else [_NO_ACTUATORS]),
         ],
+        recipe=walking.options or None,
+        recipe_notes=list(walking.notes),
     )
     description = with_choices(description)
     yield description
@@ -87,9 +99,30 @@ def _judged_by_reading(model: mujoco.MjModel) -> dict[EngineName, str | None]:
     return engines
 
 
+def _walking(spec: mujoco.MjSpec) -> Recipe:
+    try:
+        return recipe(spec)
+    except (NoRecipe, JobFailed) as error:
+        return Recipe({}, [f"There is no recipe for it: {error}."])
+    except Exception as error:  # A model that it cannot be tried on may be a good one.
+        return Recipe({}, [f"There is no recipe for it: {' '.join(str(error).split())[:300]}"])
+
+
+def _with_a_remedy(why: str, spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
+    """The refusal of `compiled`, with the edits under which it does not refuse."""
+    try:
+        edits = edits_for_compiled(without_drawings(spec, model))
+    except (JobFailed, ValueError):
+        return why
+    if edits is None:
+        return why
+    changes = edits.model_dump(include={"floor", "collide", *(["primitives"] if edits.primitives else [])})
+    return f"{why} Or let less of it collide: `edits` {json.dumps(changes)}."
+
+
 def _check(model: mujoco.MjModel) -> None:
-    if model.nu == 0:
-        raise BadModel("The model has no actuators, so no policy could move it.")
+    if model.nu == 0 and not np.isin(model.jnt_type, _DRIVEN).any():
+        raise BadModel("The model has no actuators, and no hinge or slide that a servo could move.")
     if model.nv == 0:
         raise BadModel("The model has no joints, so nothing in it can move.")
     if not SHORTEST_STEP_S <= model.opt.timestep <= LONGEST_STEP_S:

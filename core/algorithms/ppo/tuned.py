@@ -22,6 +22,7 @@ from core.environments.brittle_star.options import (
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.external.brax.info import SAME_TASK
 from core.environments.info import CRITIC_GROUP, Device, EnvironmentInfo
+from core.environments.mjcf.info import MjcfOptions
 
 _CPU: Mapping[str, Any] = {
     "num_timesteps": 5_000_000,
@@ -326,6 +327,12 @@ G1 = _joystick(24_000_000, 10_000_000)
 GO1 = _joystick(12_000_000, 4_000_000)
 
 
+def own_model(options: MjcfOptions) -> Mapping[Device, PPOSpec]:
+    """The values for a user's own model: those of robots, where servos' targets follow a command."""
+    walks = options.command is not None and options.action.kind == "joint_position"
+    return _joystick(30_000_000, 6_000_000) if walks else MJCF
+
+
 def corridor(options: CorridorOptions) -> Mapping[Device, PPOSpec]:
     """The values for a walker in a corridor.
 
@@ -390,13 +397,15 @@ TUNED_BY_OPTIONS: dict[str, Callable[[Any], Mapping[Device, PPOSpec]]] = {
     "brittle_star_light_escape": brittle_star,
     "brittle_star_undirected": brittle_star,
     "corridor": corridor,
+    "mjcf": own_model,
 }
 
 
 def tuned(environment: EnvironmentInfo, device: Device) -> PPOSpec:
     """The values that fit the environment on this device; all others are unset."""
     values = TUNED.get(environment.id, {})
-    if by_options := TUNED_BY_OPTIONS.get(environment.id):
+    by_options = TUNED_BY_OPTIONS.get(environment.id)
+    if by_options and (environment.chosen is not None or not environment.takes_model):
         values = by_options(environment.option_values)
     own = values.get(device, PPOSpec())
     if CRITIC_GROUP in environment.observations:

@@ -19,6 +19,13 @@ _SLACK = 1e-2
 def problems(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Problem]:
     """Places where the changes name something that the model, before them, does not have. pointer: theirs."""
     driven = [joint.name for joint in model.joints if joint.type in _DRIVEN]
+    if edits.servos and model.actuators and model.colliders is None:
+        detail = (
+            "The model was added to an earlier version, which did not note what actuators move: delete it, "
+            "and add it again."
+        )
+        yield Problem(f"{pointer}/servos", detail)
+        return
     for number, fit in enumerate(edits.primitives):
         yield from unmatched(fit.geoms, model.geoms, "geom", f"{pointer}/primitives/{number}/geoms")
     yield from _of_feet(edits, model, pointer)

@@ -82,6 +82,24 @@ def edits_for_compiled(spec: mujoco.MjSpec) -> ModelEdits | None:
     return None
 
 
+def without_drawings(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjSpec:
+    """A copy with the masses of the compiled model and without what touches nothing, to be compiled quickly:
+    meshes that are only drawn take seconds."""
+    lean = spec.copy()
+    name_parts(lean)
+    keep_inertias(lean, model)
+    paired = {name for pair in lean.pairs for name in (pair.geomname1, pair.geomname2)}
+    for geom in list(lean.geoms):
+        if not (_can_touch(geom) or geom.name in paired):
+            lean.delete(geom)
+    kept = {geom.meshname for geom in lean.geoms}
+    for mesh in [mesh for mesh in lean.meshes if mesh.name not in kept]:
+        lean.delete(mesh)
+    for skin in list(lean.skins):
+        lean.delete(skin)
+    return lean
+
+
 # ---- what can touch ------------------------------------------------------------------------------
 
 
@@ -152,7 +170,7 @@ def fit_primitives(spec: mujoco.MjSpec, fits: Sequence[Fit]) -> None:
     ]
     if not meshes:
         return
-    _keep_inertias(spec)
+    keep_inertias(spec, compiled(spec))
     spec.compiler.fitaabb = True
     replaced = set[str]()
     for geom, shape in meshes:
@@ -181,9 +199,8 @@ def _add_drawing(geom: Any) -> None:
     drawn.alt = geom.alt
 
 
-def _keep_inertias(spec: mujoco.MjSpec) -> None:
-    """Write the masses and inertias that follow from geoms into their bodies."""
-    model = compiled(spec)
+def keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Write the masses and inertias that follow from geoms into their bodies. model: the compiled one."""
     for body in spec.bodies[1:]:
         if body.explicitinertial and spec.compiler.inertiafromgeom != 1:
             continue
