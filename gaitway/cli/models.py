@@ -123,7 +123,7 @@ def _recipe(model: ModelView) -> None:
         print("There is no recipe for this model.", file=sys.stderr)
         raise typer.Exit(1)
     options = {"model": model.id, **found["recipe"]}
-    print_json({"kind": "train", "environment": {"id": "mjcf", "options": options}})
+    print_json({"kind": "train", "environment": {"id": "mjcf", "options": options}, "battery": True})
 
 
 def _how(tried: str | None, seconds: float | None) -> str:

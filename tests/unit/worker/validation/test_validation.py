@@ -34,9 +34,21 @@ from worker.validation.answer import ModelAnswer, read_answer
 from worker.validation.confined import look, validate
 from worker.validation.findings import findings
 
+# Nothing can be driven.
+ROLLS = b'<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
 NO_MOTOR = XML.replace(
     b'<motor name="elbow" joint="elbow" gear="2" ctrllimited="true" ctrlrange="-0.5 1.5"/>', b""
 )
+# Two shapes on legs whose contact with each other the engine `compiled` has not.
+TOUCHING = b"""<mujoco>
+  <worldbody><body name="trunk" pos="0 0 0.5"><freejoint/><geom size="0.05"/>
+    <body name="left" pos="0 0.1 0"><joint name="left" axis="0 1 0"/>
+      <geom type="cylinder" size="0.02 0.05" pos="0 0 -0.3"/></body>
+    <body name="right" pos="0 -0.1 0"><joint name="right" axis="0 1 0"/>
+      <geom type="box" size="0.02 0.02 0.02" pos="0 0 -0.33"/></body>
+  </body></worldbody>
+  <actuator><motor joint="left" ctrlrange="-3 3"/><motor joint="right" ctrlrange="-3 3"/></actuator>
+</mujoco>"""
 # Nine million geoms, written in 200 bytes.
 SLOW = XML.replace(
     b'<body name="ball"',
@@ -347,24 +359,44 @@ def test_a_confined_process_dies_with_its_worker(tmp_path: Path) -> None:
         time.sleep(0.02)
 
 
+def test_a_model_without_actuators_is_told_of_servos(tmp_path: Path) -> None:
+    file = tmp_path / "model"
+    file.write_bytes(NO_MOTOR)
+    found = next(findings(file))
+    assert "It has no actuators: jobs give it servos (`edits.servos`)." in found.notes
+    assert found.inventory.sizes.nu == 0
+
+
+def test_a_refusal_of_compiled_names_the_edits_that_help_and_there_is_a_recipe(tmp_path: Path) -> None:
+    file = tmp_path / "model"
+    file.write_bytes(TOUCHING)
+    found = next(findings(file))
+    why = found.engines["compiled"]
+    assert why is not None
+    assert "a cylinder and a box" in why
+    assert why.endswith('Or let less of it collide: `edits` {"floor": true, "collide": "floor"}.')
+    assert found.recipe is not None
+    assert found.recipe["edits"]["feet"] == ["left", "right"]
+
+
 def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(
     tmp_path: Path, job_store: PostgresJobStore
 ) -> None:
     objects, queue = MemoryObjectStore(), MemoryJobQueue()
     stores: Any = {"store": job_store, "objects": objects, "queue": queue}
-    record = models.add(NO_MOTOR, **stores, now=utc_now())
+    record = models.add(ROLLS, **stores, now=utc_now())
     assert queue.take_model() == record.id
     validate(record.id, job_store, objects, tmp_path, tmp_path)
     found = library.find(record.id, job_store)
     assert (found.status, found.message) == (
         "refused",
-        "The model has no actuators, so no policy could move it.",
+        "The model has no actuators, and no hinge or slide that a servo could move.",
     )
     assert found.refused_at is not None
     assert found.refused_at >= record.created_at
     assert list(objects.list("")) == []
     # Sent again, it is looked at again.
-    again = models.add(NO_MOTOR, **stores, now=utc_now())
+    again = models.add(ROLLS, **stores, now=utc_now())
     assert (again.status, queue.contains_model(record.id)) == ("validating", True)
 
 
@@ -373,7 +405,7 @@ def test_a_refusal_that_was_interrupted_is_told_as_such_and_the_model_can_be_sen
 ) -> None:
     objects, queue = MemoryObjectStore(), MemoryJobQueue()
     stores: Any = {"store": job_store, "objects": objects, "queue": queue}
-    record = models.add(NO_MOTOR, **stores, now=utc_now())
+    record = models.add(ROLLS, **stores, now=utc_now())
     objects.delete_prefix(keys.model_source(record.id))  # as a worker that was killed before it kept why
     validate(record.id, job_store, objects, tmp_path, tmp_path)
     found = library.find(record.id, job_store)
@@ -381,8 +413,8 @@ def test_a_refusal_that_was_interrupted_is_told_as_such_and_the_model_can_be_sen
         "refused",
         "A worker was stopped while it refused the model; send it again to learn why.",
     )
-    models.add(NO_MOTOR, **stores, now=utc_now())
-    assert objects.get(keys.model_source(record.id)) == NO_MOTOR
+    models.add(ROLLS, **stores, now=utc_now())
+    assert objects.get(keys.model_source(record.id)) == ROLLS
 
 
 def test_a_model_that_was_deleted_meanwhile_does_not_come_back(
