@@ -1,5 +1,6 @@
 """Models over HTTP, with the worker's part played by the test; and jobs that name them."""
 
+import json
 import socket
 import tempfile
 import threading
@@ -14,6 +15,7 @@ from typing import Any
 import httpx
 import mujoco
 import pytest
+from typer.testing import CliRunner
 
 from api.routes import models as route
 from core.environments.mjcf.archive import examine
@@ -23,6 +25,7 @@ from core.physics.availability import beyond_compiled
 from core.storage import keys
 from core.user_models import library
 from core.user_models.record import Description
+from gaitway.cli.main import app
 from tests.api.conftest import Stack
 from tests.api.problems import problem
 from tests.models import identity
@@ -359,3 +362,26 @@ def test_a_model_stays_while_a_job_needs_it(stack: Stack, model: str) -> None:
     assert stack.http.delete(f"/models/{model}").status_code == 204
     assert list(stack.objects.list(keys.models())) == []
     problem(stack.http.get(f"/models/{model}"), 404, "model-not-found")
+
+
+def test_a_recipe_is_printed_as_a_job_that_is_accepted(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GAITWAY_URL", str(stack.http.base_url))
+    found = {
+        "recipe": {"observation": [{"kind": "joint_positions"}]},
+        "recipe_notes": ["It has no keyframe."],
+    }
+    description = DESCRIPTION.model_copy(update=found)
+    with worker(stack, status="ready", description=description):
+        model = send(stack.http).json()["id"]
+    shown = CliRunner().invoke(app, ["models", "show", model, "--recipe"])
+    assert (shown.exit_code, shown.stderr) == (0, "It has no keyframe.\n")
+    job = json.loads(shown.stdout)
+    assert job["environment"]["options"]["model"] == model
+    assert stack.http.post("/jobs", json={**job, "battery": None}).status_code == 202
+
+
+def test_a_model_without_a_recipe_says_why(stack: Stack, monkeypatch: pytest.MonkeyPatch, model: str) -> None:
+    monkeypatch.setenv("GAITWAY_URL", str(stack.http.base_url))
+    shown = CliRunner().invoke(app, ["models", "show", model, "--recipe"])
+    assert (shown.exit_code, shown.stdout) == (1, "")
+    assert "There is no recipe for this model." in shown.stderr

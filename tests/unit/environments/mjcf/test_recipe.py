@@ -60,7 +60,7 @@ def test_a_robot_with_servos_and_a_pose_needs_nothing_but_terms() -> None:
 
 def test_servos_of_joints_without_motors_follow_from_the_mass_and_say_so() -> None:
     joint = '<joint name="elbow" axis="0 0 1" armature="0.02"/>'
-    arm = f'<body name="arm">{joint}<geom size="0.01" mass="0"/></body>'
+    arm = f'<body name="arm">{joint}<geom size="0.01" mass="0.01"/></body>'
     spec = robot([leg("left", 0, 0.1), leg("right", 0, -0.1), arm])
     made = recipe(spec)
     assert problems(made, spec) == []
