@@ -24,6 +24,8 @@ _TIMESTEP_S = 0.005
 # Of a robot's height: feet begin at most so much above the lowest one; a foot's geoms, above its own lowest.
 _STANDS, _SOLE = 0.06, 0.02
 _MOST_FEET = 8
+# A front leg differs so much from a hind leg, and an arm from a leg more.
+_ALIKE = 0.2
 _GRAVITY = 9.81
 # The cosine between an axis and another that it follows.
 _ALONG = 0.7
@@ -133,8 +135,12 @@ def _feet(model: mujoco.MjModel) -> tuple[list[_Standing], list[str]]:
     height = max(float(data.xpos[root, 2]), 1e-3)
     heights = {end: min(lowest[geom] for geom in geoms) for end, geoms in by_end.items()}
     standing = {end for end, own in heights.items() if own <= min(heights.values()) + _STANDS * height}
-    lengths = {_num_joints(model, end, root) for end in standing}
-    floating = [end for end in by_end if end not in standing and _num_joints(model, end, root) in lengths]
+    legs = [_limb(model, end, root) for end in standing]
+    floating = [
+        end
+        for end in by_end
+        if end not in standing and any(_are_alike(_limb(model, end, root), leg) for leg in legs)
+    ]
     feet = list[_Standing]()
     for end in [*standing, *floating]:
         shapes = [geom for geom in by_end[end] if model.geom_type[geom] != _MESH] or by_end[end]
@@ -155,13 +161,18 @@ def _feet(model: mujoco.MjModel) -> tuple[list[_Standing], list[str]]:
     return feet, [model.body(end).name for end in floating]
 
 
-def _num_joints(model: mujoco.MjModel, body: int, root: int) -> int:
-    """Between the root and the body."""
-    number = 0
-    while body not in (0, root):
-        number += int(model.body_jntnum[body])
+def _limb(model: mujoco.MjModel, body: int, root: int) -> tuple[float, float, float]:
+    """Of the limb that ends with the body: its joints, its length in m along its bodies, its mass in kg."""
+    num_joints, length, first = 0.0, 0.0, _first_of(model, body, root)
+    while body != first:
+        num_joints += float(model.body_jntnum[body])
+        length += float(np.linalg.norm(model.body_pos[body]))
         body = int(model.body_parentid[body])
-    return number
+    return num_joints + float(model.body_jntnum[first]), length, float(model.body_subtreemass[first])
+
+
+def _are_alike(one: Sequence[float], other: Sequence[float]) -> bool:
+    return all(abs(a - b) <= _ALIKE * max(a, b) for a, b in zip(one, other, strict=True))
 
 
 def _first_of(model: mujoco.MjModel, body: int, root: int) -> int:
