@@ -263,6 +263,20 @@ def test_the_best_evaluation_and_its_policy_are_named(tab: Tab, attempt: Attempt
 
 
 @pytest.mark.extra
+def test_a_battery_is_shown_with_its_verdict(tab: Tab, attempt: Attempt) -> None:
+    row = {"command": [0.5, 0, 0], "episodes": 32, "falls": 1, "linear_tracking": 0.91, "yaw_rate": None}
+    falls = {"quantity": "falls", "value": 0.03125, "bound": 0.01, "met": False}
+    facts = {"passed": False, "criteria": [falls], "commands": [row], "spec": {"seconds": 8, "push": None}}
+    attempt.keep("battery.json", b"{}", role="battery", media_type="application/json", metadata=facts)
+    page = tab.open(f"#/jobs/{attempt.id}")
+    section = page.get_by_role("region", name="Battery", exact=True)
+    expect(section).to_contain_text("Battery: not passed")
+    expect(section.get_by_role("listitem")).to_have_text(re.compile(r"✗ Falls: 3.1\d* %\s+at most 1 %"))
+    expect(section.get_by_role("row").nth(1)).to_have_text(re.compile(r"0.5, 0, 0\s*1 of 32\s*0.91"))
+    assert tab.violations() == []
+
+
+@pytest.mark.extra
 def test_phases_costs_and_terms_are_there(stack: Stack, tab: Tab, attempt: Attempt) -> None:
     attempt.say("phase", name="compile", seconds=12.5)
     measure(

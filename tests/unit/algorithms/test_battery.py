@@ -82,11 +82,13 @@ def test_commands_are_clipped_to_what_was_trained_and_there_once() -> None:
 
 
 def test_the_tested_task_has_one_command_an_episode_and_only_the_battery_s_pushes() -> None:
-    task = chosen(events=[{"kind": "push", "speed": 3.0}])
+    task = chosen(command={**COMMAND, "heading": [-3, 3]}, events=[{"kind": "push", "speed": 3.0}])
     assert follows_velocity(task)
     assert not follows_velocity(chosen(command=None, reward=[{"kind": "alive"}]))
     calm = battery_options(task, BatterySpec(seconds=20.0))
-    assert (calm.command and calm.command.every_s, calm.events) == (40.0, [])
+    assert calm.events == []
+    assert isinstance(calm.command, VelocityCommand)
+    assert (calm.command.every_s, calm.command.heading) == (40.0, None)
     shoved = battery_options(task, BatterySpec(push=Push(speed=0.4)))
     assert [event.speed for event in shoved.events] == [0.4]
 
