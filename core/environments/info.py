@@ -51,6 +51,10 @@ class Spaces:
     def observation_size(self) -> int:
         return sum(one.size for one in self.observation)
 
+    @property
+    def action_size(self) -> int:
+        return sum(one.size for one in self.action)
+
     def group(self, name: str) -> tuple[Slice, ...]:
         """The slices of the observation of this name."""
         return self.critic if name == CRITIC_GROUP else self.observation
@@ -176,7 +180,10 @@ class EnvironmentInfo:
     def under(self, options: Strict) -> "EnvironmentInfo":
         """The row under these options, which must be its own."""
         row = replace(self, chosen=options, **(self.vary(options) if self.vary else {}))
-        return replace(row, observation_size=row.spaces.observation_size) if row.slices else row
+        if row.slices is None:
+            return row
+        spaces = row.spaces
+        return replace(row, observation_size=spaces.observation_size, action_size=spaces.action_size)
 
     @property
     def spaces(self) -> Spaces:

@@ -56,14 +56,14 @@ class ObservationGroup:
         if self._is_biased:
             pairs = zip(self._terms, self._bound, strict=True)
             most = np.concatenate([np.full(part.size, term.bias, np.float32) for term, part in pairs])
-            entries[f"{self._name}_bias"] = most * (2.0 * numbers[: self.width] - 1.0)
+            entries[f"{self._name}_bias"] = jnp.asarray(most) * (2.0 * numbers[: self.width] - 1.0)
         if self._is_delayed:
             lowest, several = (
                 np.array(numbers, np.int32)
                 for numbers in zip(*((steps.start, len(steps)) for steps in self._delays), strict=True)
             )
             more = jnp.floor(numbers[self.width :] * several).astype(jnp.int32)
-            entries[f"{self._name}_delays"] = lowest + more
+            entries[f"{self._name}_delays"] = jnp.asarray(lowest) + more
         return entries
 
     def seen(

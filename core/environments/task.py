@@ -9,16 +9,17 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments.deployment import Deployment, deployment
+from core.environments.deployment import Deployment, NotDeployed, deployment
 from core.environments.environment import Observation, State
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP
 from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
 from core.environments.numbers import Noise, NotSimulated
 from core.environments.observation_group import ObservationGroup
 from core.environments.simulation import Simulation
-from core.environments.terms import foot_times
-from core.environments.terms.actions import ControlAction, JointPositionAction
-from core.environments.terms.binding import bound, servo_targets
+from core.environments.terms import foot_times, history
+from core.environments.terms.actions import ControlAction, JointAction, JointPositionAction
+from core.environments.terms.actuation import actuation
+from core.environments.terms.binding import bound
 from core.environments.terms.commands import AnyCommand, VelocityCommand
 from core.environments.terms.describe import height_of, root_of
 from core.environments.terms.feet import feet_of
@@ -34,9 +35,11 @@ from core.environments.terms.task import (
     parts_of,
     reported,
 )
+from core.environments.terms.term import whole_steps
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
 from core.environments.terms.vocabulary import AnyReward
 from core.environments.terrain.grid import LAYOUT, WALKED, TerrainGrid
+from core.environments.torque_speed_curve import TorqueSpeedCurve
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import initial_qpos
 
@@ -44,8 +47,10 @@ _LOWEST, _HIGHEST = 0.4, 2.0
 # Folded into a reset's key: the key of the episode's own random numbers.
 _OF_THE_EPISODE = 7
 # What random numbers of a step are for, folded into their key: events have those from 3 on.
-_OF_THE_GROUP = 100
+_OF_THE_GROUP, _OF_THE_ACTION = 100, 101
 _OF_THE_TERRAIN = 8
+# The field of the model that a torque-speed curve changes in each step.
+_FORCE_RANGE = "actuator_forcerange"
 
 
 @dataclass(frozen=True)
@@ -77,9 +82,12 @@ class TaskEnv(MujocoEnv):
         settings = settings or TaskSettings(_solver(options))
         root = model.body(options.root).id if options.root else root_of(model)
         start = _start(model, options)
-        named = ModelIndex(
-            model, root, start, feet_of(model, options.feet, start), len(parts_of(options, parts).command)
-        )
+        self._actuation = None
+        if isinstance(options.action, JointAction):
+            self._actuation = actuation(options.action, model, start)
+        num_actions = model.nu if self._actuation is None else len(self._actuation.actuators)
+        feet, num_commands = feet_of(model, options.feet, start), len(parts_of(options, parts).command)
+        named = ModelIndex(model, root, start, feet, num_commands, num_actions)
         paid = options.reward or _default_reward()
         self._names = metric_names(paid)
         self._weights = [term.sign * term.weight for term in paid]
@@ -91,9 +99,8 @@ class TaskEnv(MujocoEnv):
         if options.critic is not None:
             self._critic = ObservationGroup(CRITIC_GROUP, options.critic, named, dt, is_exact=True)
         self._is_scaled = not isinstance(options.action, ControlAction) or options.action.scaled
-        self._targets = None
-        if isinstance(options.action, JointPositionAction):
-            self._targets = servo_targets(options.action, model, start)
+        self._curve = TorqueSpeedCurve.of(model) if options.action.torque_speed_curve else None
+        self._action_delays = whole_steps(options.action.delay, dt)
         self._options, self._memory = options, options.memory
         height = height_of(model, start, root)
         ends = _default_ends(parts, height) if options.termination is None else options.termination
@@ -106,6 +113,7 @@ class TaskEnv(MujocoEnv):
         engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=settings.solver)
         super().__init__(model, engine, num_substeps=frames, observation_size=0, tracked_body=root)
         self.aliases, self.reports_rewards = settings.aliases, settings.reports_rewards
+        self.action_size = num_actions
         self.initial_qpos = jnp.asarray(start, jnp.float32)
         if options.reset.lift and (free := named.free_joint(root)) is not None:
             self.initial_qpos = self.initial_qpos.at[free + 2].add(options.reset.lift)
@@ -114,7 +122,8 @@ class TaskEnv(MujocoEnv):
         self._grid = _terrain(options, model, start, named)
         self._cell: jax.Array | None = None
         self._termination = ends
-        self._is_random = bool(options.command or options.gait or options.events) or self._policy.is_random
+        self._is_random = bool(options.command or options.gait or options.events or options.action.delay)
+        self._is_random |= self._policy.is_random
         self.observation_size = self._policy.size
         if self._critic is not None:
             self.observation_size = {POLICY_GROUP: self._policy.size, CRITIC_GROUP: self._critic.size}
@@ -149,6 +158,13 @@ class TaskEnv(MujocoEnv):
         if options.gait:
             info["phase"] = self._uniform(info, 1, 1)[0]
         info |= self._policy.drawn(lambda number: self._uniform(info, number, _OF_THE_GROUP))
+        if options.action.delay is not None:
+            delays = self._action_delays
+            uniform = self._uniform(info, 1, _OF_THE_ACTION)[0]
+            info["action_delay"] = delays.start + jnp.floor(uniform * len(delays)).astype(jnp.int32)
+            info["past_actions"] = history.begun(nothing, delays.stop, jnp)
+        if options.action.smoothing:
+            info["smoothed_action"] = nothing
         step = replace(step, command=info.get("command"), target=info.get("target"))
         if "earlier_action" in self._memory:
             info["earlier_action"] = nothing
@@ -164,8 +180,10 @@ class TaskEnv(MujocoEnv):
         if self._is_random:
             info["steps"] = info["steps"] + 1
         before = self._pushed(state.physics, info)
-        control = self._control(action)
-        physics = self.engine.step(before, control)
+        arrived, entries = self._arrived(action, info)
+        info |= entries
+        control = self._control(arrived)
+        physics = self._moved(before, control)
         carried = ("previous_action", "command", "target", "start")
         previous, command, target, start = (info.get(name) for name in carried)
         step = Step(
@@ -231,11 +249,34 @@ class TaskEnv(MujocoEnv):
             asked = speed * self.dt
         return grid.walked(info[WALKED], here=here, way=way, asked=asked)
 
+    def _arrived(
+        self, action: jax.Array, info: Mapping[str, jax.Array]
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """The action that the actuators get in this step, and what `State.info` keeps of it."""
+        entries: dict[str, jax.Array] = {}
+        if "action_delay" in info:
+            past = history.remembered(info["past_actions"], action, jnp)
+            entries["past_actions"] = past
+            action = history.seen(past, 1, info["action_delay"])
+        if share := self._options.action.smoothing:
+            action = entries["smoothed_action"] = share * info["smoothed_action"] + (1.0 - share) * action
+        return action, entries
+
     def _control(self, action: jax.Array) -> jax.Array:
-        if self._targets is None:
+        if self._actuation is None:
             return scaled_to_control(self.model, action) if self._is_scaled else action
-        offset, gain = map(jnp.asarray, self._targets)
+        offset, gain = jnp.asarray(self._actuation.offset), jnp.asarray(self._actuation.gain)
+        if self.action_size < self.model.nu:
+            action = jnp.zeros(self.model.nu).at[self._actuation.actuators].set(action)
         return offset + gain * action
+
+    def _moved(self, before: PhysicsState, control: jax.Array) -> PhysicsState:
+        """The physics after the control, with the motors' torques that are left at this speed."""
+        if self._curve is None:
+            return self.engine.step(before, control)
+        force_range = self._curve.force_range(before.qvel, before.model.get(_FORCE_RANGE))
+        limited = replace(before, model={**before.model, _FORCE_RANGE: force_range})
+        return replace(self.engine.step(limited, control), model=before.model)
 
     def _pushed(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> PhysicsState:
         """The physics after the events of this step."""
@@ -261,6 +302,9 @@ class TaskEnv(MujocoEnv):
             raise NotSimulated("it follows commands")
         if self._grid is not None:
             raise NotSimulated("each episode has another terrain")
+        action = self._options.action
+        if action.smoothing or action.delay or action.torque_speed_curve or self.action_size < self.model.nu:
+            raise NotSimulated("its actions are changed before they are controls")
         return self.simulated(
             self._spec,
             observation=self._policy.shown(),
@@ -273,22 +317,26 @@ class TaskEnv(MujocoEnv):
 
     def deployment(self) -> Deployment:
         """The task as a robot runs it. Raises NotDeployed."""
-        options = self._options
+        options, targets = self._options, None
+        if isinstance(options.action, JointPositionAction) and self._actuation is not None:
+            targets = (self._actuation.offset, self._actuation.gain)
+        if options.action.smoothing or self.action_size < self.model.nu:
+            raise NotDeployed("its actions are smoothed, or are for some of the joints alone")
         return deployment(
             observed(options),
             self._parts,
             parts_of(options, self._inventory),
-            self._targets,
+            targets,
             command=options.command,
             gait=options.gait,
         )
 
     def _ends_of_control(self) -> tuple[np.ndarray, np.ndarray]:
         """The controls [nu] for actions of −1 and 1."""
-        if self._targets is None:
+        if self._actuation is None:
             one = np.ones(self.action_size, np.float32)
             return control_range(self.model) if self._is_scaled else (-one, one)
-        offset, gain = self._targets
+        offset, gain = self._actuation.offset, self._actuation.gain
         return offset - gain, offset + gain
 
     def _after(self, step: Step, info: Mapping[str, jax.Array]) -> State:

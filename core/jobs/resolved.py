@@ -95,7 +95,7 @@ def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Descriptio
     return replace(
         info,
         observation_size=spaces.observation_size,
-        action_size=has.sizes.nu,
+        action_size=spaces.action_size,
         slices=partial(task_slices, model=has),
         cameras=tuple(has.cameras),
         cannot_run=engines_that_cannot(description, options),

@@ -7,7 +7,7 @@ from core.bounds import LONGEST_NAME
 from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, floor_name
 from core.environments.mjcf.unmatched import unmatched, unmatched_by
 from core.environments.patterns import matching
-from core.environments.terms.inventory import Actuator, Inventory
+from core.environments.terms.inventory import Actuator, Inventory, Joint
 from core.errors import Problem
 
 _MAX_NAMES = 20
@@ -58,12 +58,14 @@ def _of_feet(edits: ModelEdits, model: Inventory, pointer: str) -> Iterator[Prob
 
 
 def _without_stiffness(servo: Servo, model: Inventory, pointer: str) -> Iterator[Problem]:
-    if servo.kp is not None or servo.effort is not None:
+    is_known = servo.effort or servo.saturation_effort or servo.control == "effort"
+    if is_known or (servo.kp if servo.control == "position" else servo.kd) is not None:
         return
     weak = {joint.name for joint in model.joints if joint.type in _DRIVEN and joint.effort is None}
     for joint in matching(servo.joints, weak):
         detail = (
-            f"The model knows no greatest torque of the joint {joint!r}: give the servo a kp or an effort."
+            f"The model knows no greatest torque of the joint {joint!r}: give the servo a "
+            f"{'kp' if servo.control == 'position' else 'kd'} or an effort."
         )
         yield Problem(pointer, detail)
         break
@@ -126,20 +128,32 @@ def edited(model: Inventory, edits: ModelEdits) -> Inventory:
 
 def _actuators(model: Inventory, servos: Sequence[Servo]) -> list[Actuator]:
     """Servos come in the place of a joint's first actuator, and after the others where it has none."""
-    patterns = [pattern for servo in servos for pattern in servo.joints]
-    driven = (joint.name for joint in model.joints if joint.type in _DRIVEN)
-    waiting = dict.fromkeys(matching(patterns, driven))
+    driven = [joint for joint in model.joints if joint.type in _DRIVEN]
+    waiting = dict[str, Actuator]()
+    for joint in driven:
+        for servo in (one for one in servos if matching(one.joints, [joint.name])):
+            waiting.setdefault(joint.name, _servo_of(joint, servo))
     kept, taken = list[Actuator](), {actuator.name for actuator in model.actuators}
     has_servo = set[str]()
     for actuator in model.actuators:
         if actuator.joint in waiting:
-            kept.append(Actuator(name=actuator.name, joint=actuator.joint))
             has_servo.add(actuator.joint)
-            del waiting[actuator.joint]
+            kept.append(waiting.pop(actuator.joint).model_copy(update={"name": actuator.name}))
         elif actuator.joint not in has_servo:
             kept.append(actuator)
     names = {joint: joint if joint not in taken else f"{joint} servo" for joint in waiting}
-    return [*kept, *(Actuator(name=name, joint=joint) for joint, name in names.items())]
+    return [*kept, *(waiting[joint].model_copy(update={"name": name}) for joint, name in names.items())]
+
+
+def _servo_of(joint: Joint, servo: Servo) -> Actuator:
+    """The servo of the joint, which is called like it."""
+    has_effort = servo.effort or joint.effort or servo.saturation_effort
+    return Actuator(
+        name=joint.name,
+        joint=joint.name,
+        kind="motor" if servo.control == "effort" else servo.control,
+        velocity_limit=servo.velocity_limit if has_effort else None,
+    )
 
 
 def _moving(model: Inventory) -> list[str]:

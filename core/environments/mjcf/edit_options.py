@@ -24,13 +24,18 @@ def floor_name(geoms: Sequence[str]) -> str:
 
 
 class Servo(Strict):
-    """A position servo on each of some joints: force = kp · (target - position) - kd · velocity, within
-    ± effort. It takes the place of the joint's actuators; the control is the target, without a range.
+    """A servo on each of some joints: force = kp · (target - position) - kd · velocity, within ± effort. It
+    takes the place of the joint's actuators; the control is the target, without a range.
 
     The units are those of a hinge; for a slide read N, m and kg.
     """
 
     joints: Patterns = Field(description=f"Hinges and slides. {PATTERNS}")
+    control: Literal["position", "velocity", "effort"] = Field(
+        default="position",
+        description="What the control is: the target of a position servo; that of a velocity servo, with "
+        "force = kd · (target - velocity); or the force itself.",
+    )
     kp: float | None = Field(
         default=None,
         gt=0,
@@ -48,7 +53,15 @@ class Servo(Strict):
         default=None,
         gt=0,
         le=1e4,
-        description="Greatest speed of the motor, rad/s, for terms that read it; no engine enforces it.",
+        description="Speed at which the motor has no torque left, rad/s; it counts where the action has a "
+        "`torque_speed_curve`.",
+    )
+    saturation_effort: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Torque from which the motor's falls in a line to 0 at its velocity_limit, N m; what is "
+        "above the effort is never given. null: the effort.",
     )
     armature: float | None = Field(
         default=None, ge=0, le=1e3, description="Inertia of the rotor at the joint, kg m²; null: the model's."

@@ -19,6 +19,7 @@ from core.environments.mjcf.edit_options import (
 )
 from core.environments.mjcf.model import compiled, name_parts
 from core.environments.patterns import Patterns, matches, matching
+from core.environments.terms.actuation import add_motor
 from core.environments.terms.describe import near_world
 from core.errors import JobFailed
 from core.physics.compiled.coverage import uncovered
@@ -251,8 +252,10 @@ def add_servos(spec: mujoco.MjSpec, servos: Sequence[Servo]) -> None:
             first, *others = actuators[joint.name] or [_added(spec, joint.name, taken)]
             for actuator in others:
                 _remove(spec, actuator)
-            _become_servo(first, joint, servo)
+            effort = _become_servo(first, joint, servo)
             _load(joint, servo)
+            if servo.velocity_limit is not None and effort is not None:
+                add_motor(spec, joint.name, servo.velocity_limit, servo.saturation_effort or effort)
     for key in spec.keys:
         key.ctrl, key.act = [], []
 
@@ -266,18 +269,26 @@ def _added(spec: mujoco.MjSpec, joint: str, taken: set[str]) -> Any:
     return spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
 
 
-def _become_servo(actuator: Any, joint: Any, servo: Servo) -> None:
-    effort = servo.effort or effort_of(actuator, joint)
+def _become_servo(actuator: Any, joint: Any, servo: Servo) -> float | None:
+    """Its greatest torque or force; None: it has no limit."""
+    effort = servo.effort or effort_of(actuator, joint) or servo.saturation_effort
     try:
-        kp, kd = gains(servo, effort)
+        match servo.control:
+            case "position":
+                kp, kd = gains(servo, effort)
+                actuator.set_to_position(kp=kp, kv=kd)
+            case "velocity":
+                actuator.set_to_velocity(kv=gains(servo, effort)[1] if servo.kd is None else servo.kd)
+            case "effort":
+                actuator.set_to_motor()
     except ValueError as error:
         raise JobFailed(Reason.BAD_MODEL, f"The joint {joint.name!r}: {error}.") from None
-    actuator.set_to_position(kp=kp, kv=kd)
     actuator.trntype, actuator.gear = mujoco.mjtTrn.mjTRN_JOINT, [1, 0, 0, 0, 0, 0]
     actuator.ctrllimited, actuator.ctrlrange, actuator.inheritrange = False, [0, 0], 0
     actuator.actlimited, actuator.actrange = False, [0, 0]
     actuator.forcelimited = effort is not None
     actuator.forcerange = [-effort, effort] if effort is not None else [0, 0]
+    return effort
 
 
 def _load(joint: Any, servo: Servo) -> None:

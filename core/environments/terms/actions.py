@@ -1,15 +1,37 @@
 """How a policy's action becomes the actuators' controls."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from core.bounds import Real
 from core.documents import Strict
-from core.environments.patterns import PATTERNS, PerName
+from core.environments.patterns import PATTERNS, Patterns, PerName
+from core.environments.terms.inventory import ActuatorKind
+from core.environments.terms.term import DELAY, Delay
+
+_SCALE = f"One number, or by joint. {PATTERNS}"
 
 
-class ControlAction(Strict):
+class Action(Strict):
+    """What happens to an action before it is a control: it comes late, is smoothed, and pushes as far as the
+    motor can. Terms see the policy's own action."""
+
+    delay: Delay | None = Field(default=None, description=f"After which an action arrives. {DELAY}")
+    smoothing: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="The share s of the last smoothed action in the next: s · last + (1 - s) · action.",
+    )
+    torque_speed_curve: bool = Field(
+        default=False,
+        description="In each control step, a servo with a `velocity_limit` pushes at most as its motor can "
+        "at the speed that the joint has when the step begins.",
+    )
+
+
+class ControlAction(Action):
     """±1 is an end of a control's range; without a range, the action is the control itself."""
 
     kind: Literal["control"] = "control"
@@ -18,15 +40,63 @@ class ControlAction(Strict):
     )
 
 
-class JointPositionAction(Strict):
+class JointAction(Action):
+    """An action for each joint that has an actuator of this kind; other joints keep the pose.
+
+    actuator: the kind. what: such actuators, in words.
+    """
+
+    actuator: ClassVar[ActuatorKind]
+    what: ClassVar[str]
+
+    joints: Patterns | None = Field(
+        default=None,
+        description=f"Those that are acted on; null: all with an actuator. The others' position servos keep "
+        f"the pose. {PATTERNS}",
+    )
+
+
+class JointPositionAction(JointAction):
     """A target for each joint's servo: its position at an episode's start, plus the action times a scale."""
+
+    actuator = "position"
+    what = "position servo"
 
     kind: Literal["joint_position"] = "joint_position"
     scale: Real | PerName | None = Field(
         default=None,
-        description="rad or m for an action of 1: one number, or by joint; null: where half of the "
-        f"servo's greatest force pushes, or 0.25 where it has no limit. {PATTERNS}",
+        description="rad or m for an action of 1; null: where half of the servo's greatest force pushes, or "
+        f"0.25 where it has no limit. {_SCALE}",
     )
 
 
-AnyAction = Annotated[ControlAction | JointPositionAction, Field(discriminator="kind")]
+class JointVelocityAction(JointAction):
+    """A velocity for each joint's servo: the action times a scale, as for wheels."""
+
+    actuator = "velocity"
+    what = "velocity servo"
+
+    kind: Literal["joint_velocity"] = "joint_velocity"
+    scale: Real | PerName | None = Field(
+        default=None,
+        description="rad/s or m/s for an action of 1; null: the servo's `velocity_limit`, or 1 where it has "
+        f"none. {_SCALE}",
+    )
+
+
+class JointEffortAction(JointAction):
+    """A torque or force on each joint: the action times a scale."""
+
+    actuator = "motor"
+    what = "motor"
+
+    kind: Literal["joint_effort"] = "joint_effort"
+    scale: Real | PerName | None = Field(
+        default=None,
+        description="N m or N for an action of 1; null: the motor's greatest, or 1 where it has no limit. "
+        f"{_SCALE}",
+    )
+
+
+AnyJointAction = JointPositionAction | JointVelocityAction | JointEffortAction
+AnyAction = Annotated[ControlAction | AnyJointAction, Field(discriminator="kind")]

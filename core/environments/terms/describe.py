@@ -8,6 +8,7 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
+from core.environments.terms.actuation import kind_of, motor_of
 from core.environments.terms.inventory import Actuator, Inventory, Joint, Sensor, Sizes
 from core.physics.compiled.constraints.pairs import listed_geoms, touching_geoms
 from core.physics.model import initial_qpos
@@ -219,10 +220,14 @@ def _acts_on_joints(model: mujoco.MjModel) -> np.ndarray:
 def _actuator(model: mujoco.MjModel, number: int) -> Actuator:
     low, high = map(float, model.actuator_ctrlrange[number])
     is_on_joint = _acts_on_joints(model)[number]
+    joint = model.joint(model.actuator_trnid[number, 0]).name if is_on_joint else None
+    motor = motor_of(model, joint) if joint else None
     return Actuator(
         name=model.actuator(number).name,
         control_range=(low, high) if model.actuator_ctrllimited[number] else None,
-        joint=model.joint(model.actuator_trnid[number, 0]).name if is_on_joint else None,
+        joint=joint,
+        kind=kind_of(model, number),
+        velocity_limit=motor[0] if motor is not None else None,
     )
 
 

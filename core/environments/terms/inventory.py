@@ -9,6 +9,8 @@ from core.environments.patterns import matching
 from core.physics.availability import BodySize, EngineName
 
 Kind = Literal["body", "geom", "joint", "sensor"]
+# On a joint: the control is a position, a velocity, or a torque or force.
+ActuatorKind = Literal["position", "velocity", "motor"]
 
 
 class Joint(Stored):
@@ -26,11 +28,15 @@ class Joint(Stored):
 
 class Actuator(Stored):
     """control_range: of `ctrl`; None if it has none, and the action is the control itself. joint: the one
-    that it moves; None: it moves something else, or the model was described before joints were noted."""
+    that it moves; None: it moves something else, or the model was described before joints were noted. kind:
+    None for another one, or where the model was described before kinds were noted. velocity_limit: the speed
+    at which its motor has no torque left, rad/s or m/s; None: it is not known."""
 
     name: str
     control_range: tuple[float, float] | None = None
     joint: str | None = None
+    kind: ActuatorKind | None = None
+    velocity_limit: float | None = None
 
 
 class Sensor(Stored):
@@ -118,11 +124,13 @@ class Inventory(Stored):
 
 @dataclass(frozen=True)
 class ModelParts:
-    """A model as a task names its parts. root: the body of the terms that name none. feet: the bodies that
-    are, in the order of the gait. command: the name and the unit of each number of the task's command."""
+    """A model as a task names its parts. root: the body of the terms that name none. acting: the names of an
+    action's numbers. feet: the bodies that are, in the order of the gait. command: the name and the unit of
+    each number of the task's command."""
 
     model: Inventory
     root: str
+    acting: Sequence[str]
     feet: tuple[str, ...] = ()
     command: tuple[tuple[str, str], ...] = ()
 

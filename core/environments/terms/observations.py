@@ -249,13 +249,13 @@ class PreviousAction(ObservationTerm):
     kind: Literal["previous_action"] = "previous_action"
 
     def size(self, parts: ModelParts) -> int:
-        return parts.model.sizes.nu
+        return len(parts.acting)
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
-        yield named("previous_action", parts.model.acting, "1", -1.0, 1.0)
+        yield named("previous_action", parts.acting, "1", -1.0, 1.0)
 
     def numbers(self, model: "ModelIndex") -> Numbers:
-        return numbers(PREVIOUS_ACTION, range(model.model.nu))
+        return numbers(PREVIOUS_ACTION, range(model.num_actions))
 
 
 class Activation(ObservationTerm):

@@ -28,14 +28,13 @@ _STANDING = 0.05
 @dataclass(frozen=True)
 class Step:
     """before, after: the physics before and after it, a `PhysicsState` or what has its fields. action,
-    previous_action: [nu], each in [-1, 1]; the latter is zero in an episode's first step. dt: its duration
-    in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`. command: [n], as its action knew it;
-    None without one. target: what was drawn, of commands that follow from it. phases: of the gait's clock,
-    [feet] in rad. control: [nu], what the action set. ground: None without a
-    terrain.
+    previous_action: the policy's own [n], each in [-1, 1]; the latter is zero in an episode's first step. dt:
+    its duration in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`. command: [n], as its
+    action knew it; None without one. target: what was drawn, of commands that follow from it. phases: of the
+    gait's clock, [feet] in rad. control: [nu], what the action set. ground: None without a terrain.
 
     For terms that remember them: previous_action; start: the root's position [3] at the episode's start, in
-    m; foot_times; earlier_action: [nu], the one before the previous one.
+    m; foot_times; earlier_action: [n], the one before the previous one.
     """
 
     before: Any
@@ -89,7 +88,7 @@ class ModelIndex:
     """The model's parts by name. root: number of the body of the terms that name no body.
 
     pose: positions [nq] in which episodes begin, before noise. feet: in the order of the gait.
-    num_commands: how many numbers a command has.
+    num_commands, num_actions: how many numbers a command has, and an action.
     """
 
     model: mujoco.MjModel
@@ -97,6 +96,7 @@ class ModelIndex:
     pose: np.ndarray
     feet: Sequence[Foot]
     num_commands: int = 3
+    num_actions: int = 0
 
     def body(self, name: str | None) -> int:
         return self.root if name is None else int(self.model.body(name).id)

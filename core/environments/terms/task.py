@@ -9,8 +9,8 @@ from core.bounds import MOST_ITEMS, Real
 from core.documents import Strict
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces, in_order, named
 from core.environments.options import NoiseScale
-from core.environments.patterns import PATTERNS, Pattern, matching_in_turn
-from core.environments.terms.actions import AnyAction, ControlAction, JointPositionAction
+from core.environments.patterns import PATTERNS, Pattern, matching, matching_in_turn
+from core.environments.terms.actions import AnyAction, ControlAction
 from core.environments.terms.commands import AnyCommand, GaitClock, PositionCommand, Push, VelocityCommand
 from core.environments.terms.inventory import Actuator, Inventory, ModelParts
 from core.environments.terms.metrics import (
@@ -183,9 +183,19 @@ def task_slices(options: TaskOptions, model: Inventory, unit_of_action: str | No
     )
     acts = [
         named(name, (name,), unit_of_action, *_ends(options, actuator))
-        for name, actuator in zip(model.acting, model.actuators, strict=True)
+        for name, actuator in acting(options, model)
     ]
     return Spaces(in_order(seen), in_order(acts), in_order(by_critic))
+
+
+def acting(options: TaskOptions, model: Inventory) -> list[tuple[str, Actuator]]:
+    """The actuators that an action moves, by the names of its numbers."""
+    named = list(zip(model.acting, model.actuators, strict=True))
+    action = options.action
+    if isinstance(action, ControlAction) or action.joints is None:
+        return named
+    patterns = action.joints
+    return [one for one in named if matching(patterns, [one[1].joint or ""])]
 
 
 def varied(options: TaskOptions) -> Mapping[str, Any]:
@@ -198,7 +208,7 @@ def varied(options: TaskOptions) -> Mapping[str, Any]:
 
 def _ends(options: TaskOptions, actuator: Actuator) -> tuple[float | None, float | None]:
     """The controls that -1 and 1 set; those of servos are not known before the model is read."""
-    if isinstance(options.action, JointPositionAction):
+    if not isinstance(options.action, ControlAction):
         return None, None
     if not options.action.scaled:
         return -1.0, 1.0
@@ -218,10 +228,11 @@ def control_step_s(options: TaskOptions, model: Inventory) -> float:
 
 def parts_of(options: TaskOptions, model: Inventory) -> ModelParts:
     """The model as the terms name its parts."""
+    names = [name for name, _ in acting(options, model)]
     feet = matching_in_turn(options.feet, model.bodies[1:])
     told = () if options.command is None else options.command.ranges
     command = tuple((each.name, each.unit) for each in told)
-    return ModelParts(model, options.root or model.root, tuple(feet), command)
+    return ModelParts(model, options.root or model.root, names, tuple(feet), command)
 
 
 def observed(options: TaskOptions) -> Sequence[ObservationTerm]:

@@ -31,7 +31,8 @@ STILL = [0.0] * 7
 def measured(term: dict[str, Any], **where: Any) -> float:
     """A term's value after a step of 0.02 s to these positions and velocities. The rest is of `Step`."""
     physics = [state(UP, STILL), state(where.pop("qpos", UP), where.pop("qvel", STILL))]
-    index = ModelIndex(MODEL, 1, np.array(UP, float), feet_of(MODEL, ["ball"], np.array(UP, float)))
+    feet = feet_of(MODEL, ["ball"], np.array(UP, float))
+    index = ModelIndex(MODEL, 1, np.array(UP, float), feet, num_actions=MODEL.nu)
     known = {"command": np.array([0.5, 0, 0]), "start": np.zeros(3), "phases": np.zeros(1), **where}
     step = Step(*physics, np.zeros(1), np.zeros(1), 0.02, np, **known)
     made: Term = TypeAdapter[Any](AnyTermination if term.pop("ends", False) else AnyReward).validate_python(

@@ -18,7 +18,7 @@ from core.environments.robots.g1 import G1
 from core.environments.robots.go1 import GO1
 from core.environments.robots.robot import Robot
 from core.environments.terms.actions import JointPositionAction
-from core.environments.terms.binding import servo_targets
+from core.environments.terms.actuation import servo_targets
 from core.environments.terms.feet import feet_of
 from core.errors import JobFailed
 from core.jobs.workers import how_to_install

@@ -1,0 +1,149 @@
+"""The actuators of a compiled model: of which kind each is, and the controls that an action gives them."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from core.environments.patterns import by_name, matching
+from core.environments.terms.actions import AnyJointAction, JointPositionAction, JointVelocityAction
+from core.environments.terms.inventory import ActuatorKind
+from core.errors import JobFailed
+from core.reasons import Reason
+
+_ON_A_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
+_FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
+# A custom numeric of the model for each joint whose motor's speed is limited: see `add_motor`.
+_MOTOR = "gaitway:motor:"
+
+
+@dataclass(frozen=True)
+class Actuation:
+    """The controls of a joint action: offset + gain · action of its actuators, and the offset of the others.
+
+    actuators: numbers of those that are acted on, [actions]. offset, gain: [nu].
+    """
+
+    actuators: np.ndarray
+    offset: np.ndarray
+    gain: np.ndarray
+
+
+def actuation(action: AnyJointAction, model: mujoco.MjModel, pose: np.ndarray) -> Actuation:
+    """How the action becomes controls. pose: positions [nq] that joints keep.
+
+    Raises JobFailed("bad_model") where an actuator is not of the action's kind, and where one that is not
+    acted on cannot keep the pose.
+    """
+    kinds = [kind_of(model, number) for number in range(model.nu)]
+    joints = joint_names(model)
+    chosen = np.array([number for number, joint in enumerate(joints) if _is_chosen(action, joint)], int)
+    for number in range(model.nu):
+        is_chosen = number in chosen
+        if kinds[number] != (action.actuator if is_chosen else "position"):
+            raise JobFailed(
+                Reason.BAD_MODEL, _misfit(action, model.actuator(number).name, is_chosen=is_chosen)
+            )
+    if isinstance(action, JointPositionAction):
+        offset, gain = servo_targets(action, model, pose)
+    else:
+        gain = _scaled(action.scale, _own_scale(action, model), joints) / _per_control(action, model)
+        offset, _ = servo_targets(JointPositionAction(), model, pose)
+        offset[chosen] = 0.0
+    return Actuation(chosen, offset, gain.astype(np.float32))
+
+
+def _is_chosen(action: AnyJointAction, joint: str) -> bool:
+    return action.joints is None or bool(matching(action.joints, [joint]))
+
+
+def _misfit(action: AnyJointAction, name: str, *, is_chosen: bool) -> str:
+    if not is_chosen:
+        return (
+            f"The actuator {name!r} is not acted on, and is no position servo that could keep the pose: give "
+            "its joint one in `edits.servos`, or act on it."
+        )
+    return (
+        f"The actuator {name!r} is no {action.what} of a joint, as the action {action.kind} needs: give its "
+        "joint one in `edits.servos`, or take the action `control`."
+    )
+
+
+def servo_targets(
+    action: JointPositionAction, model: mujoco.MjModel, pose: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The targets [nu] of position servos for an action of 0, and what an action of 1 adds to them. pose:
+    positions [nq]."""
+    joints = model.actuator_trnid[:, 0]
+    stiffness, forces = model.actuator_gainprm[:, 0], model.actuator_forcerange[:, 1]
+    limited = model.actuator_forcelimited.astype(bool)
+    own = np.where(limited, 0.5 * forces / np.maximum(stiffness, 1e-9), 0.25)
+    scale = _scaled(action.scale, own, joint_names(model))
+    return pose[model.jnt_qposadr[joints]].astype(np.float32), scale.astype(np.float32)
+
+
+def _scaled(wanted: float | dict[str, float] | None, own: np.ndarray, joints: list[str]) -> np.ndarray:
+    """The scales [nu]: the wanted ones, and the actuators' own where nothing is said."""
+    if isinstance(wanted, dict):
+        chosen = by_name(wanted, joints)
+        return np.array([chosen.get(name, scale) for name, scale in zip(joints, own, strict=True)])
+    return own if wanted is None else np.full(len(own), wanted)
+
+
+def _own_scale(action: AnyJointAction, model: mujoco.MjModel) -> np.ndarray:
+    """The greatest velocity or torque at the joints, [nu]; 1 where it is not known."""
+    if isinstance(action, JointVelocityAction):
+        limits = [motor_of(model, joint) for joint in joint_names(model)]
+        return np.array([1.0 if limit is None else limit[0] for limit in limits])
+    limited, force = model.actuator_forcelimited.astype(bool), model.actuator_forcerange[:, 1]
+    gear = np.abs(model.actuator_gear[:, 0])
+    by_control = np.where(
+        model.actuator_ctrllimited.astype(bool),
+        model.actuator_ctrlrange[:, 1] * np.abs(model.actuator_gainprm[:, 0]),
+        np.inf,
+    )
+    most = np.minimum(np.where(limited, force, np.inf), by_control) * gear
+    return np.where(np.isfinite(most), most, 1.0)
+
+
+def _per_control(action: AnyJointAction, model: mujoco.MjModel) -> np.ndarray:
+    """The joints' velocities, or torques, for a control of 1, [nu]."""
+    gear = model.actuator_gear[:, 0]
+    return 1.0 / gear if isinstance(action, JointVelocityAction) else gear * model.actuator_gainprm[:, 0]
+
+
+def kind_of(model: mujoco.MjModel, actuator: int) -> ActuatorKind | None:
+    """None: it moves no joint, or in another way."""
+    if model.actuator_trntype[actuator] != _ON_A_JOINT:
+        return None
+    _, of_position, of_velocity = model.actuator_biasprm[actuator, :3]
+    if of_position < 0:
+        return "position"
+    if model.actuator_dyntype[actuator] or model.actuator_gaintype[actuator] != _FIXED_GAIN:
+        return None
+    if not model.actuator_biastype[actuator]:
+        return "motor"
+    return "velocity" if of_velocity < 0 and not of_position else None
+
+
+def joint_names(model: mujoco.MjModel) -> list[str]:
+    """Of the joint that each actuator moves; empty for one that moves something else."""
+    return [
+        model.joint(joint).name if kind == _ON_A_JOINT else ""
+        for kind, joint in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
+    ]
+
+
+def add_motor(spec: mujoco.MjSpec, joint: str, velocity_limit: float, saturation_effort: float) -> None:
+    """Let the model say what `TorqueSpeedCurve` needs to know of a joint's motor."""
+    values = [velocity_limit, saturation_effort]
+    spec.add_numeric(name=_MOTOR + joint, data=values, size=len(values))
+
+
+def motor_of(model: mujoco.MjModel, joint: str) -> tuple[float, float] | None:
+    """The velocity limit of the joint's motor, and its torque at rest if nothing else limited it."""
+    place = mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_NUMERIC), _MOTOR + joint)
+    if place < 0:
+        return None
+    limit, effort = map(float, model.numeric(place).data)
+    return limit, effort
