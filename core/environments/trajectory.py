@@ -26,9 +26,10 @@ _ARRAYS = (
 )
 _FIELDS = tuple(name for name, *_ in _ARRAYS)
 # Fields of the model that are kept where episodes differ in them: a picture shows them.
-ARENA = ("geom_pos", "geom_size")
+ARENA = ("geom_pos", "geom_quat", "geom_size")
 _OF_ARENA = (
     ("arena/geom_pos", "[ngeom, 3]", "m", "where this episode's geoms are, each in the frame of its body"),
+    ("arena/geom_quat", "[ngeom, 4]", "1", "how they are turned in it, w x y z; where episodes differ in it"),
     ("arena/geom_size", "[ngeom, 3]", "m", "their sizes, as in MuJoCo"),
 )
 # Only if the environment has one.
@@ -39,7 +40,7 @@ _TARGET = ("target", "[T+1, 2 or 3]", "m", "where the tracked body should go, in
 class Episode:
     """One episode of T steps; arrays as `_ARRAYS` lists them, float32 but for `time`.
 
-    arena: `ARENA` [ngeom, 3], where episodes differ in the geoms of their arena.
+    arena: `ARENA` [ngeom, 3 or 4], where episodes differ in the geoms of their arena.
 
     terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name. target: see
     `_TARGET`; None if the environment has none.

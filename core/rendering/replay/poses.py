@@ -159,13 +159,18 @@ def _changed_parts(model: mujoco.MjModel, motion: EpisodeMotion) -> list[dict[st
     """The nodes of geoms that are elsewhere, or of another size, in this episode, and how."""
     positions = motion.model.get("geom_pos", model.geom_pos)
     sizes = motion.model.get("geom_size", model.geom_size)
+    turns = motion.model.get("geom_quat", model.geom_quat)
     changed: list[dict[str, Any]] = []
     for part in parts(model):
         kind, _, number = part.name.partition("_")
         if kind != "geom":
             continue
-        position, size = positions[int(number)], sizes[int(number)]
-        if not (np.allclose(position, part.position) and np.allclose(size, part.size)):
+        position, size, turn = positions[int(number)], sizes[int(number)], turns[int(number)]
+        is_there = np.allclose(position, part.position) and np.allclose(size, part.size)
+        is_turned = not np.allclose(turn, model.geom_quat[int(number)])
+        if not is_there or is_turned:
             scale = part.scale(np.asarray(size, float))
-            changed.append({"node": part.name, "translation": position.tolist(), "scale": scale.tolist()})
+            own = {"node": part.name, "translation": position.tolist(), "scale": scale.tolist()}
+            # glTF has the real part last.
+            changed.append(own | ({"rotation": np.roll(turn, -1).tolist()} if is_turned else {}))
     return changed

@@ -33,10 +33,11 @@ export class Figure {
     this.tracked = about.bodies.indexOf(about.tracked_body);
     this.endless = [];
     this.root.traverse((node) => node.userData.endless && this.endless.push(node));
-    for (const { node, translation, scale } of episode.parts) {
+    for (const { node, translation, rotation, scale } of episode.parts) {
       const found = this.root.getObjectByName(node);
       found?.position.fromArray(translation);
       found?.scale.fromArray(scale);
+      if (rotation) found?.quaternion.fromArray(rotation);
     }
     if (!isFirst && !episode.parts.length) this.#hideSurroundings();
     const { radius } = about.view;

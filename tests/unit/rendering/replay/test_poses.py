@@ -69,6 +69,15 @@ def test_geoms_that_an_episode_has_elsewhere_are_named_with_their_stretch() -> N
     assert changed == {"node": "geom_2", "translation": [0.0, 0.0, 0.5], "scale": [0.6, 0.6, 0.6]}
 
 
+def test_an_episode_turns_its_geoms() -> None:
+    model = model_of(ARM)
+    turns = model.geom_quat.copy()
+    turns[2] = [0.8, 0.0, 0.6, 0.0]
+    [changed] = poses(model, rolling(model={"geom_quat": turns})).parts
+    # A replay has the real part last.
+    assert changed["rotation"] == [0.0, 0.6, 0.0, 0.8]
+
+
 @pytest.mark.parametrize(
     ("num_states", "dt", "expected"),
     [
