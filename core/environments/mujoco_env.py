@@ -1,11 +1,13 @@
 """The base of our environments: a model, an engine that steps it, and its sizes."""
 
+import copy
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import reduce
 from types import MappingProxyType
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +21,8 @@ from core.environments.environment import (
     ObservationSize,
     State,
 )
-from core.environments.numbers import Ends, Noise, NotSimulated, Numbers
-from core.environments.simulation import Simulation, as_xml
+from core.environments.simulated_model import NotSimulated
+from core.environments.simulation import Simulation
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
 
@@ -65,31 +67,12 @@ class MujocoEnv(ABC):
 
     def simulation(self) -> Simulation:
         """The data with which a program steps this body by MuJoCo alone. Raises NotSimulated."""
-        raise NotSimulated("what it observes is computed by code that only the training has")
+        raise NotSimulated("its model is made for each training")
 
-    def simulated(
-        self,
-        spec: mujoco.MjSpec,
-        observation: Sequence[Numbers],
-        noise: Noise,
-        ends: Sequence[Ends],
-        control_range: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> Simulation:
-        """For subclasses. control_range: the controls [nu] for actions of −1 and 1; None: the same."""
-        low, high = control_range or (-np.ones(self.action_size), np.ones(self.action_size))
-        return Simulation(
-            model=as_xml(spec, self.engine.model),
-            num_substeps=round(self.dt / self.model.opt.timestep),
-            tracked_body=self.tracked_body,
-            control_offset=((low + high) / 2).tolist(),
-            control_gain=((high - low) / 2).tolist(),
-            observation=observation,
-            qpos=np.asarray(self.initial_qpos, float).tolist(),
-            qvel=[] if self.initial_qvel is None else np.asarray(self.initial_qvel, float).tolist(),
-            act=[] if self.initial_act is None else np.asarray(self.initial_act, float).tolist(),
-            noise=noise,
-            ends=ends,
-        )
+    def told(self, command: jax.Array | None) -> Self:
+        """The environment without chance within its episodes, under this command [n] if it follows any."""
+        del command
+        return copy.copy(self)
 
     def stepped(
         self,

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from core.environments.numbers import Numbers
 from core.environments.terms import history
 from core.environments.terms.binding import bound
 from core.environments.terms.observations import ObservationTerm
@@ -98,7 +97,3 @@ class ObservationGroup:
                 values = history.seen(past, term.history, 0 if delays is None else delays[number])
             seen.append(values)
         return jnp.concatenate(seen), entries
-
-    def shown(self) -> list[Numbers]:
-        """Where its numbers are in MuJoCo's arrays. Raises NotSimulated where they are no part of them."""
-        return [term.shown(self._model) for term in self._terms]

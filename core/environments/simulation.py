@@ -1,111 +1,229 @@
 """The data with which a program steps an environment's body by MuJoCo alone, as the page does (docs/push.md).
 
-It is a model, and data: which of MuJoCo's numbers are observed, how an action becomes a control, how an
-episode begins and ends. An environment states them; tests show that they give its own observation.
+It is a model, and what the environment computes around its physics, as operations on numbers: both are traced
+from the environment's own code, around an engine that only marks where the physics is.
 """
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
-from xml.etree import ElementTree
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
 
+import jax
+import jax.numpy as jnp
 import mujoco
+import numpy as np
 
-from core.environments.numbers import Ends, Noise, NotSimulated, Numbers
+from core.environments.environment import State
+from core.environments.expression import Expression, NotExpressed
+from core.environments.info import POLICY_GROUP
+from core.environments.simulated_model import NotSimulated, as_xml
+from core.environments.terms.commands import CommandRange
+from core.environments.tracing import expressed
+from core.physics.engine import DERIVED_FIELDS, NOMINAL, ModelFields, PhysicsState
 
-FORMAT, VERSION = "gaitway-simulation", 1
-# The options of a model that an engine may change.
-_SOLVER = ("solver", "iterations", "ls_iterations", "disableflags")
-# The page's MuJoCo, the newest that npm has. It does not know these attributes of this process's MuJoCo.
-PAGE_VERSION = "3.14"
-_NEWER = {
-    ("body", "fuse"),
-    ("elasticity", "section"),
-    ("elasticity", "sectionsize"),
-    ("insidesite", "enclosed"),
-}
-# In 3.14 only these take inputs of several kinds; what `input` says of other actuators moves nothing.
-_INPUT_GAINS = {
-    int(kind)
-    for kind in (mujoco.mjtGain.mjGAIN_PID, mujoco.mjtGain.mjGAIN_DCMOTOR, mujoco.mjtGain.mjGAIN_SO3)
-}
-_INPUTS = {1: "pos", 2: "vel", 4: "ff", 8: "voltage"}
+if TYPE_CHECKING:
+    from core.environments.mujoco_env import MujocoEnv
+
+FORMAT, VERSION = "gaitway-simulation", 2
+_NUM_STARTS = 8
+_STATE_FIELDS = ("qpos", "qvel", "act", "qacc_warmstart", "time")
+_Arrays = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Start:
+    """How an episode may begin: positions [nq], velocities [nv] and states of actuators [na]."""
+
+    qpos: Sequence[float]
+    qvel: Sequence[float]
+    act: Sequence[float]
 
 
 @dataclass(frozen=True)
 class Simulation:
     """A body, ready to be stepped.
 
-    model: XML, with the solver settings of the engine that trained. control_offset, control_gain [nu]: a
-    control is offset + gain · action, for num_substeps of the time step. qpos [nq]: where episodes begin;
-    qvel [nv], act [na]: how, where they do not begin at rest.
-    obstacles: where each begins and ends in x and the y of the way past it, by their ends. sight: what is
-    farther ahead is said to be that far, and straight on. Both in m.
+    model: XML, with the solver settings of the engine that trained. num_substeps: its time steps for one step
+    of the environment. command: empty where the body follows none. begin, control, step: what the environment
+    computes at an episode's start, before the physics of a step, and after it. Their inputs: `before.` and
+    `after.` with the name of a field of MjData, before and after the physics of the step; `state.` with the
+    name of what is carried from step to step; `action`; `command`. Their outputs: `observation`, `control`,
+    `ended` (1 where the episode ends), and what is carried on.
     """
 
     model: str
     num_substeps: int
     tracked_body: int
-    control_offset: Sequence[float]
-    control_gain: Sequence[float]
-    observation: Sequence[Numbers]
-    qpos: Sequence[float]
-    noise: Noise
-    ends: Sequence[Ends] = field(default_factory=tuple)
-    qvel: Sequence[float] = field(default_factory=tuple)
-    act: Sequence[float] = field(default_factory=tuple)
-    obstacles: Sequence[Sequence[float]] = field(default_factory=tuple)
-    sight: float | None = None
+    starts: Sequence[Start]
+    begin: Expression
+    control: Expression
+    step: Expression
+    command: Sequence[CommandRange] = ()
 
     def document(self) -> dict[str, Any]:
         """As JSON, with numbers that are plain Python's."""
-        about = {"format": FORMAT, "version": VERSION, "mujoco": mujoco.mj_versionString()}
-        return {**about, **asdict(self)}
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "mujoco": mujoco.mj_versionString(),
+            "model": self.model,
+            "num_substeps": self.num_substeps,
+            "tracked_body": self.tracked_body,
+            "starts": [asdict(start) for start in self.starts],
+            "command": [asdict(one) for one in self.command],
+            **{name: getattr(self, name).document() for name in ("begin", "control", "step")},
+        }
 
 
-def as_xml(spec: mujoco.MjSpec, stepped: mujoco.MjModel) -> str:
-    """The spec as XML that the page's MuJoCo reads, under the solver settings of `stepped` and without skins
-    and textures, which move nothing. Raises NotSimulated if it needs files, or what the page lacks."""
-    _strip_looks(spec)
-    if files := [one.file for one in (*spec.meshes, *spec.hfields) if one.file]:
-        raise NotSimulated(
-            f"its model is more than one file (it has {files[0]}), and the page reads only one"
-        )
-    model = spec.compile()
-    before = {name: getattr(spec.option, name) for name in _SOLVER}
+def simulation_of(
+    environment: "MujocoEnv", spec: mujoco.MjSpec, command: Sequence[CommandRange] = ()
+) -> Simulation:
+    """The simulation of an environment, whose model is of this spec. Raises NotSimulated."""
+    model = as_xml(spec, environment.engine.model)
     try:
-        for name in _SOLVER:
-            setattr(spec.option, name, getattr(stepped.opt, name))
-        return _as_the_page_reads_it(spec.to_xml(), model)
-    finally:
-        for name, value in before.items():
-            setattr(spec.option, name, value)
+        begin, step = _begun(environment, len(command)), _stepped(environment, len(command))
+        carried = [f"state.{name}" for name in _carried(step)]
+        parts = {
+            "begin": begin.only(["observation", *carried]),
+            "control": step.only(["control"]),
+            "step": step.only(["observation", "ended", *carried]),
+        }
+    except NotExpressed as error:
+        raise NotSimulated(f"{error}, which the page lacks") from None
+    return Simulation(
+        model=model,
+        num_substeps=round(environment.dt / environment.model.opt.timestep),
+        tracked_body=environment.tracked_body,
+        starts=[*_starts(environment)],
+        command=command,
+        **parts,
+    )
 
 
-def _as_the_page_reads_it(text: str, model: mujoco.MjModel) -> str:
-    """The XML without what is new since the page's MuJoCo, where that changes nothing."""
-    root = ElementTree.fromstring(text)  # noqa: S314 MuJoCo wrote it
-    for element in root.iter():
-        if new := sorted(name for tag, name in _NEWER if tag == element.tag and name in element.attrib):
-            raise NotSimulated(
-                f"its model has the attribute {new[0]} of {element.tag}, which is newer than MuJoCo "
-                f"{PAGE_VERSION}, which the page has"
-            )
-        if element.tag == "plugin" and "plugin" in element.attrib:
-            raise NotSimulated(f"its model uses the plugin {element.get('plugin')}, which the page lacks")
-        if element.tag == "general":
-            element.attrib.pop("input", None)
-    for number, element in enumerate(root.findall("actuator/*")):
-        if int(model.actuator_gaintype[number]) in _INPUT_GAINS:
-            taken = [word for bit, word in _INPUTS.items() if model.actuator_ctrlspec[number] & bit]
-            element.set("input", " ".join(taken) or "none")
-    return ElementTree.tostring(root, encoding="unicode")
+def _carried(step: Expression) -> list[str]:
+    """The names of `State.info` on which later observations, controls and ends depend."""
+    carried: set[str] = set()
+    while True:
+        outputs = ["observation", "control", "ended", *(f"state.{name}" for name in sorted(carried))]
+        needed = {name.removeprefix("state.") for name in step.only(outputs).inputs if "state." in name}
+        if needed <= carried:
+            return sorted(carried)
+        carried |= needed
 
 
-def _strip_looks(spec: mujoco.MjSpec) -> None:
-    """Remove skins and textures, which may be files."""
-    for material in spec.materials:
-        for role in range(len(material.textures)):
-            material.textures[role] = ""
-    for one in [*spec.skins, *spec.textures]:
-        spec.delete(one)
+class _Boundary:
+    """An engine in name only: physics that is begun or stepped becomes `after`, if it is given."""
+
+    name = "native"
+
+    def __init__(self, model: mujoco.MjModel, after: PhysicsState) -> None:
+        self.model, self.after = model, after
+        self.control: jax.Array | None = None
+
+    def reset(
+        self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL, act: jax.Array | None = None
+    ) -> PhysicsState:
+        if model:
+            raise NotSimulated("each episode has another model")
+        return self.after
+
+    def step(self, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
+        if self.control is not None:
+            raise NotSimulated("its physics is stepped several times for one action")
+        if state.model:
+            raise NotSimulated("what its motors can do changes in each step")
+        self.control = ctrl
+        return self.after
+
+
+class _Start(_Boundary):
+    """An engine whose physics begins where it is told to, without what is derived from that."""
+
+    def reset(
+        self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL, act: jax.Array | None = None
+    ) -> PhysicsState:
+        return replace(self.after, qpos=qpos, qvel=qvel, act=self.after.act if act is None else act)
+
+
+def _around(environment: "MujocoEnv", engine: _Boundary, given: _Arrays) -> "MujocoEnv":
+    """The environment without chance, under the command that is given."""
+    there = environment.told(given.get("command"))
+    there.engine = engine
+    return there
+
+
+def _begun(environment: "MujocoEnv", command_size: int) -> Expression:
+    def begin(given: _Arrays) -> _Arrays:
+        engine = _Boundary(environment.engine.model, _physics(given, "after."))
+        return _outputs(_around(environment, engine, given).reset(jax.random.key(0)))
+
+    return expressed(begin, {**_fields(environment.model, "after."), **_command(command_size)})
+
+
+def _stepped(environment: "MujocoEnv", command_size: int) -> Expression:
+    def step(given: _Arrays) -> _Arrays:
+        engine = _Boundary(environment.engine.model, _physics(given, "after."))
+        there = _around(environment, engine, given)
+        info = {name: given[f"state.{name}"] for name in carried}
+        before = State(_physics(given, "before."), None, jnp.zeros(()), jnp.zeros(()), {}, info)
+        return {**_outputs(there.step(before, given["action"])), "control": engine.control}
+
+    info = jax.eval_shape(environment.reset, jax.random.key(0)).info
+    carried = sorted(info)
+    return expressed(
+        step,
+        {
+            **_fields(environment.model, "before."),
+            **_fields(environment.model, "after."),
+            **{f"state.{name}": jax.ShapeDtypeStruct(info[name].shape, info[name].dtype) for name in carried},
+            **_command(command_size),
+            "action": jax.ShapeDtypeStruct((environment.action_size,), jnp.float32),
+        },
+    )
+
+
+def _starts(environment: "MujocoEnv") -> Iterator[Start]:
+    """Some starts of episodes, as the environment draws them."""
+    model = environment.model
+    nothing = {name: jnp.zeros(one.shape, one.dtype) for name, one in _fields(model, "after.").items()}
+    there = copy.copy(environment)
+    there.engine = _Start(environment.engine.model, _physics(nothing, "after."))
+
+    def start(key: jax.Array) -> PhysicsState:
+        return there.reset(key).physics
+
+    with jax.default_device(jax.local_devices(backend="cpu")[0]):
+        keys = jax.random.split(jax.random.key(0), _NUM_STARTS)
+        physics = jax.jit(jax.vmap(start))(keys)
+        rows = zip(
+            *(np.asarray(one, float) for one in (physics.qpos, physics.qvel, physics.act)), strict=True
+        )
+    for row in rows:
+        yield Start(*(values.tolist() for values in row))
+
+
+def _fields(model: mujoco.MjModel, prefix: str) -> dict[str, jax.ShapeDtypeStruct]:
+    data = mujoco.MjData(model)
+    return {
+        f"{prefix}{name}": jax.ShapeDtypeStruct(np.shape(getattr(data, name)), jnp.float32)
+        for name in (*_STATE_FIELDS, *DERIVED_FIELDS)
+    }
+
+
+def _physics(given: _Arrays, prefix: str) -> PhysicsState:
+    own = {name: given[f"{prefix}{name}"] for name in _STATE_FIELDS}
+    return PhysicsState(**own, derived={name: given[f"{prefix}{name}"] for name in DERIVED_FIELDS})
+
+
+def _command(size: int) -> dict[str, jax.ShapeDtypeStruct]:
+    return {"command": jax.ShapeDtypeStruct((size,), jnp.float32)} if size else {}
+
+
+def _outputs(state: State) -> dict[str, Any]:
+    seen = state.obs[POLICY_GROUP] if isinstance(state.obs, Mapping) else state.obs
+    return {
+        "observation": seen,
+        "ended": state.done,
+        **{f"state.{name}": value for name, value in state.info.items()},
+    }

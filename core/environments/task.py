@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -12,10 +13,10 @@ import numpy as np
 from core.environments.deployment import Deployment, NotDeployed, deployment
 from core.environments.environment import Observation, State
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP
-from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
-from core.environments.numbers import Noise, NotSimulated
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.environments.observation_group import ObservationGroup
-from core.environments.simulation import Simulation
+from core.environments.simulated_model import NotSimulated
+from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times, history
 from core.environments.terms.actions import ControlAction, JointAction, JointPositionAction
 from core.environments.terms.actuation import actuation
@@ -121,7 +122,7 @@ class TaskEnv(MujocoEnv):
         self._spec, self._parts, self._inventory = spec, named, parts
         self._grid = _terrain(options, model, start, named)
         self._cell: jax.Array | None = None
-        self._termination = ends
+        self._has_chance, self._command = True, None
         self._is_random = bool(options.command or options.gait or options.events or options.action.delay)
         self._is_random |= self._policy.is_random
         self.observation_size = self._policy.size
@@ -152,7 +153,7 @@ class TaskEnv(MujocoEnv):
             info["key"] = jax.random.key_data(jax.random.fold_in(key, _OF_THE_EPISODE))
             info["steps"] = jnp.zeros((), jnp.int32)
         if options.command:
-            info |= self._told(options.command, self._drawn(options.command, info, step), step)
+            info |= self._carried(options.command, self._drawn(options.command, info, step), step)
             if command is not None:
                 info["command"] = jnp.concatenate([command, info["command"][command.size :]])
         if options.gait:
@@ -207,14 +208,16 @@ class TaskEnv(MujocoEnv):
             before_it = info["target" if command.follows else "command"]
             fresh = self._drawn(command, info, step)
             due = jnp.where(self._is_due(info, command.every_s), fresh, before_it)
-            info |= self._told(command, due, step)
+            info |= self._carried(command, due, step)
         return self._after(step, info)
 
     def _drawn(self, command: AnyCommand, info: Mapping[str, jax.Array], step: Step) -> jax.Array:
         return command.drawn(self._uniform(info, command.num_random, 0), step, self._parts)
 
-    def _told(self, command: AnyCommand, drawn: jax.Array, step: Step) -> dict[str, jax.Array]:
+    def _carried(self, command: AnyCommand, drawn: jax.Array, step: Step) -> dict[str, jax.Array]:
         """What is carried of a command after a step."""
+        if self._command is not None:
+            return {"command": self._command}
         if not command.follows:
             return {"command": drawn}
         return {"target": drawn, "command": command.told(drawn, step, self._parts)}
@@ -292,28 +295,19 @@ class TaskEnv(MujocoEnv):
         return info["steps"] % max(1, round(every_s / self.dt)) == 0
 
     def _uniform(self, info: Mapping[str, jax.Array], number: int, purpose: int) -> jax.Array:
-        """Random numbers [number] in [0, 1) of this step, for one purpose."""
+        """Random numbers [number] in [0, 1) of this step, for one purpose; without chance, their mean."""
+        if not self._has_chance:
+            return jnp.full(number, 0.5)
         of_the_step = jax.random.fold_in(jax.random.wrap_key_data(info["key"]), info["steps"])
         return jax.random.uniform(jax.random.fold_in(of_the_step, purpose), (number,))
 
     def simulation(self) -> Simulation:
-        reset = self._options.reset
-        if self._options.command is not None:
-            raise NotSimulated("it follows commands")
+        command = self._options.command
+        if command is not None and not isinstance(command, VelocityCommand):
+            raise NotSimulated("it is told points, and the page tells velocities")
         if self._grid is not None:
             raise NotSimulated("each episode has another terrain")
-        action = self._options.action
-        if action.smoothing or action.delay or action.torque_speed_curve or self.action_size < self.model.nu:
-            raise NotSimulated("its actions are changed before they are controls")
-        return self.simulated(
-            self._spec,
-            observation=self._policy.shown(),
-            noise=Noise(
-                reset.position_noise, reset.velocity_noise, is_normal=reset.velocity_distribution == "normal"
-            ),
-            ends=[term.ends(self._parts) for term in self._termination],
-            control_range=self._ends_of_control(),
-        )
+        return simulation_of(self, self._spec, () if command is None else command.ranges)
 
     def deployment(self) -> Deployment:
         """The task as a robot runs it. Raises NotDeployed."""
@@ -331,13 +325,11 @@ class TaskEnv(MujocoEnv):
             gait=options.gait,
         )
 
-    def _ends_of_control(self) -> tuple[np.ndarray, np.ndarray]:
-        """The controls [nu] for actions of −1 and 1."""
-        if self._actuation is None:
-            one = np.ones(self.action_size, np.float32)
-            return control_range(self.model) if self._is_scaled else (-one, one)
-        offset, gain = self._actuation.offset, self._actuation.gain
-        return offset - gain, offset + gain
+    def told(self, command: jax.Array | None) -> Self:
+        there = copy.copy(self)
+        there._options = self._options.model_copy(update={"events": []})
+        there._has_chance, there._command = False, command
+        return there
 
     def _after(self, step: Step, info: Mapping[str, jax.Array]) -> State:
         if (gait := self._options.gait) is not None:

@@ -110,7 +110,7 @@ class _Tape:
         """The outputs of a jaxpr."""
         values: dict[Any, _Value] = dict(zip(jaxpr.constvars, constants, strict=True))
         values |= dict(zip(jaxpr.invars, arguments, strict=True))
-        for equation in jaxpr.eqns:
+        for equation in _live(jaxpr):
             read = [one.val if isinstance(one, Literal) else values[one] for one in equation.invars]
             values |= dict(zip(equation.outvars, self._applied(equation, read), strict=True))
         return [one.val if isinstance(one, Literal) else values[one] for one in jaxpr.outvars]
@@ -183,6 +183,17 @@ class _Tape:
         return [result]
 
 
+def _live(jaxpr: Jaxpr) -> list[Any]:
+    """The equations on which an output depends."""
+    needed = {one for one in jaxpr.outvars if not isinstance(one, Literal)}
+    live: list[Any] = []
+    for equation in reversed(jaxpr.eqns):
+        if needed.intersection(equation.outvars):
+            needed.update(one for one in equation.invars if not isinstance(one, Literal))
+            live.append(equation)
+    return live[::-1]
+
+
 _CALLS = {
     "checkpoint",
     "closed_call",
@@ -248,6 +259,8 @@ def _axis_of_start(equation: Any, place: int) -> int | None:
             axes = equation.params["dimension_numbers"].start_index_map
         case "scatter":
             axes = equation.params["dimension_numbers"].scatter_dims_to_operand_dims
+        case _:
+            pass
     return axes[0] if len(axes) == 1 else None
 
 

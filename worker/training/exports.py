@@ -19,7 +19,7 @@ from core.algorithms.export.numpy_file import numpy_file
 from core.environments.deployment import Deployment, NotDeployed
 from core.environments.environment import Environment, Wrapped
 from core.environments.mujoco_env import MujocoEnv
-from core.environments.numbers import NotSimulated
+from core.environments.simulated_model import NotSimulated
 from core.environments.task import TaskEnv
 from core.jobs.spec import TrainSpec
 from worker.protocol import Noted
@@ -78,7 +78,7 @@ def keep_simulation(environment: Environment, events: EventWriter) -> None:
     except NotSimulated as error:
         document = {"refusal": f"This body cannot be pushed: {error}."}
     content = json.dumps(document, separators=(",", ":")).encode()
-    facts = {"can_run": "refusal" not in document}
+    facts = {"can_run": "refusal" not in document, "follows_commands": bool(document.get("command"))}
     events.keep(SIMULATION, content, "simulation", "application/json", metadata=facts)
 
 

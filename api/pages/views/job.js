@@ -16,7 +16,7 @@ import { FilesTab } from "./job/files.js";
 import { LogTab } from "./job/log.js";
 import { OverviewTab } from "./job/overview.js";
 import { PushTab } from "./job/push.js";
-import { ReplayTab, canPush } from "./job/replay.js";
+import { ReplayTab, canDrive, canPush } from "./job/replay.js";
 import { SpecificationTab } from "./job/specification.js";
 
 const TABS = {
@@ -46,7 +46,7 @@ export default function JobView({ path: [id, tab = "overview"], query }) {
     <${Head} job=${job} again=${again} isBrief=${tab !== "overview"} />
     <nav class="tabs" aria-label="Parts of the job" ref=${tabs}>
       ${Object.entries(TABS).filter(([name]) => name !== "push" || tab === "push" || canPush(shown)).map(
-        ([name, [text]]) => html`<a href=${href(["jobs", id, name], { seed: query.get("seed") })} aria-current=${name === tab ? "page" : undefined}>${text}</a>`,
+        ([name, [text]]) => html`<a href=${href(["jobs", id, name], { seed: query.get("seed") })} aria-current=${name === tab ? "page" : undefined}>${name === "push" && canDrive(shown) ? "Drive" : text}</a>`,
       )}
     </nav>
     ${OF_A_SEED.includes(tab) && html`<${Seeds} job=${shown} />`}

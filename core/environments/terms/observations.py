@@ -11,8 +11,6 @@ from core.environments.bodies import CINERT, CVEL, MATRIX_AND_MASS, Body, JointT
 from core.environments.info import Slice, named
 from core.environments.numbers import (
     PREVIOUS_ACTION,
-    SHARE_VELOCITY,
-    NotSimulated,
     Numbers,
     numbers,
     rows,
@@ -106,8 +104,8 @@ class ObservationTerm(Term):
         return low, high
 
     def numbers(self, model: "ModelIndex") -> Numbers:
-        """Where they are in MuJoCo's arrays. Raises NotSimulated where they are no part of them."""
-        raise NotSimulated(f"it observes {getattr(self, 'kind', 'what only the training computes')}")
+        """Where they are in MuJoCo's arrays, for those that are part of them."""
+        raise NotImplementedError
 
     def sensed(self, model: "ModelIndex", parts: ModelParts) -> Sensed:
         """What a robot measures for it, before noise, scale and clip."""
@@ -128,15 +126,6 @@ class ObservationTerm(Term):
         if self.scale != 1.0:
             values = self.scale * values
         return values if self.clip is None else step.xp.clip(values, -self.clip, self.clip)
-
-    def shown(self, model: "ModelIndex") -> Numbers:
-        """`numbers`, with their bounds. Raises NotSimulated."""
-        if self.scale != 1.0:
-            raise NotSimulated("it scales what it observes")
-        if self.history > 1 or self.delay is not None:
-            raise NotSimulated("it observes what is past")
-        numbers = self.numbers(model)
-        return numbers if self.clip is None else replace(numbers, max_abs=self.clip)
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         seen = self.numbers(model)
@@ -235,9 +224,6 @@ class Height(OfBody, ObservationTerm):
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
         yield named("height", (f"{self.body or parts.root} height",), "m")
-
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        return model.height(model.body(self.body))
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return model.position(step.after, model.body(self.body))[2:]
@@ -352,7 +338,7 @@ class ShareVelocities(_BodyNumbers):
     """Velocities of bodies: that of its own centre of mass times the body's share of all masses, in m/s, then
     the angular velocity, in rad/s. As in Brax's humanoid."""
 
-    array, parts, unit, label = SHARE_VELOCITY, (*CVEL[3:], *CVEL[:3]), "m/s, rad/s", "velocity"
+    array, parts, unit, label = "cvel", (*CVEL[3:], *CVEL[:3]), "m/s, rad/s", "velocity"
 
     kind: Literal["share_velocities"] = "share_velocities"
 

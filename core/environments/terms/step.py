@@ -10,7 +10,6 @@ import numpy as np
 
 from core.environments.body_position import free_joint_of, slides_of
 from core.environments.model_rows import object_names, rows_of
-from core.environments.numbers import Numbers, numbers
 from core.environments.patterns import by_name, matching
 from core.environments.randomization import FIELDS, FieldName
 from core.environments.terms.describe import touchable
@@ -171,15 +170,6 @@ class ModelIndex:
     def place(self, physics: Any, body: int, of: Literal["body", "centre_of_mass"]) -> Array:
         """Where the body, or its subtree's centre of mass, is, [3] in m."""
         return self.position(physics, body) if of == "body" else physics.derived["subtree_com"][body]
-
-    def height(self, body: int) -> Numbers:
-        """Where `position`'s z is."""
-        if (start := self.free_joint(body)) is not None:
-            return numbers("qpos", [start + 2])
-        slides = slides_of(self.model, body)
-        if slides is None or (rail := slides.upright) is None:
-            return numbers("xpos", [3 * body + 2])
-        return numbers("qpos", [slides.start + rail], add=float(slides.origin[2]))
 
     def velocity(self, step: Step, body: int) -> Array:
         """(p' − p) / dt [3] in m/s, along the world's axes."""

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from core.environments.numbers import Ends, NotSimulated, Numbers, numbers
+from core.environments.numbers import Numbers, numbers
 from core.environments.options import Range
 from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms.term import Array, OfAxis, OfBody, OfBodyContact, OfContact, OfHeight, Term
@@ -17,10 +17,6 @@ if TYPE_CHECKING:
 class TerminationTerm(Term):
     """`measure` is 1 where it ends the episode, otherwise 0; []."""
 
-    def ends(self, model: "ModelIndex") -> Ends:
-        """The term as bounds on MuJoCo's numbers. Raises NotSimulated where it is none."""
-        raise NotSimulated("an episode ends by what only the training computes")
-
 
 class OutsideHeightRange(OfHeight, TerminationTerm):
     """The body is too low or too high."""
@@ -29,9 +25,6 @@ class OutsideHeightRange(OfHeight, TerminationTerm):
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return 1.0 - self.is_inside(step, model)
-
-    def ends(self, model: "ModelIndex") -> Ends:
-        return Ends(model.height(model.body(self.body)), *self.range)
 
 
 class NotUpright(OfAxis, TerminationTerm):
@@ -48,11 +41,6 @@ class NotUpright(OfAxis, TerminationTerm):
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return step.xp.where(self.cosine(step, model) < self.least, 1.0, 0.0)
 
-    def ends(self, model: "ModelIndex") -> Ends:
-        if self.axis[:2] != (0.0, 0.0) or self.axis[2] <= 0:
-            raise NotSimulated("an episode ends by an axis that is not the body's z")
-        return Ends(numbers("xmat", [9 * model.body(self.body) + 8]), self.least, None)
-
 
 class Touching(OfContact, TerminationTerm):
     """One of the named geoms touches something."""
@@ -62,9 +50,6 @@ class Touching(OfContact, TerminationTerm):
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return step.xp.where(self.num_touching(step, model) > 0, 1.0, 0.0)
 
-    def ends(self, model: "ModelIndex") -> Ends:
-        return Ends(numbers("sensordata", model.contacts(self.geoms, self.against).tolist()), None, 0.5)
-
 
 class IllegalContact(OfBodyContact, TerminationTerm):
     """One of the bodies touches something."""
@@ -73,10 +58,6 @@ class IllegalContact(OfBodyContact, TerminationTerm):
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return step.xp.where(self.num_touching(step, model) > 0, 1.0, 0.0)
-
-    def ends(self, model: "ModelIndex") -> Ends:
-        places = [place for each in model.contacts_by_body(self.bodies) for place in each]
-        return Ends(numbers("sensordata", places), None, 0.5)
 
 
 class BadOrientation(TerminationTerm):
@@ -89,9 +70,6 @@ class BadOrientation(TerminationTerm):
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         return step.xp.where(-model.projected_gravity(step)[2] < cos(self.limit_angle), 1.0, 0.0)
-
-    def ends(self, model: "ModelIndex") -> Ends:
-        return Ends(numbers("xmat", [9 * model.root + 8]), cos(self.limit_angle), None)
 
 
 class OutOfBounds(TerminationTerm):
@@ -119,9 +97,6 @@ class OutsideJointRange(TerminationTerm):
         where = self._where(model)
         values, (low, high) = getattr(step.after, where.array)[step.places(where.places)], self.range
         return step.xp.where(step.xp.all((values > low) & (values < high)), 0.0, 1.0)
-
-    def ends(self, model: "ModelIndex") -> Ends:
-        return Ends(self._where(model), *self.range)
 
     def _where(self, model: "ModelIndex") -> Numbers:
         if self.of == "position":

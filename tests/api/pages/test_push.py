@@ -39,11 +39,11 @@ STEPPED = """async ({recipe, policy, qpos, qvel, numSteps}) => {
   simulation.data.qpos.set(qpos);
   simulation.data.qvel.set(qvel);
   simulation.begin();
-  const seen = [simulation.observe()];
+  const seen = [simulation.observation];
   const done = [];
   while (done.length < numSteps) {
     for (let i = 0; i < recipe.num_substeps; i++) simulation.step();
-    seen.push(simulation.observe());
+    seen.push(simulation.observation);
     done.push([...simulation.action]);
   }
   return [seen, done];
@@ -73,6 +73,11 @@ def files(folder: Path | None = None) -> dict[str, tuple[str, bytes]]:
     """The role and content of an ant's files, or of the tutorial's robot (written to `folder`); its policy
     does nothing."""
     ant = of_the_catalog("ant") if folder is None else of_a_user(folder, QUADRUPED)
+    return files_of(ant, policy_of(ant, 0.0))
+
+
+def files_of(ant: MujocoEnv, policy: bytes) -> dict[str, tuple[str, bytes]]:
+    """The role and content of a body's files."""
     qpos = np.array([ant.initial_qpos, ant.initial_qpos], float)
     motion = EpisodeMotion(np.array([0.0, 0.05]), qpos)
     facts = {"num_steps": 1, "duration_s": 0.05, "terminated": False}
@@ -80,7 +85,7 @@ def files(folder: Path | None = None) -> dict[str, tuple[str, bytes]]:
         "scene.glb": ("scene", scene_of(ant.model, qpos[0], ant.tracked_body)),
         "replay.bin": ("replay", replay_of(ant.model, [motion], [np.zeros(1)], [facts], ant.tracked_body)),
         "simulation.json": ("simulation", json.dumps(ant.simulation().document()).encode()),
-        "policy.npz": ("export", policy_of(ant, 0.0)),
+        "policy.npz": ("export", policy),
     }
 
 
@@ -89,6 +94,8 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     ("rodent", {}),
     ("corridor", {"num_next_obstacles": 2}),
     ("corridor", {"walker": "rodent", "arena": "walls", "num_next_obstacles": 10, "start_x": 2.0}),
+    ("g1", {}),
+    ("go1", {}),
 ]
 
 
@@ -108,6 +115,7 @@ def test_the_browser_observes_and_acts_as_the_environment_does(
         "qpos": np.asarray(state.physics.qpos).tolist(),
         "qvel": np.asarray(state.physics.qvel).tolist(),
         "numSteps": 3,
+        "command": [0.0, 0.0, 0.0] if body in ("g1", "go1") else [],
     }
     seen, done = page.evaluate(STEPPED, given)
     page.context.close()
@@ -148,6 +156,36 @@ def test_the_browser_begins_in_the_motion_of_a_keyframe(
     np.testing.assert_allclose([*qpos, *qvel, *act], [0.4, 3.0, 0.7], rtol=1e-6)
 
 
+# A cart on three slides, whose servos move it: at once, as it is told.
+CART = """<mujoco><option timestep="0.01" gravity="0 0 0"/><worldbody>
+  <geom name="floor" type="plane" size="5 5 1"/>
+  <body name="cart" pos="0 0 .2"><freejoint/><geom name="hull" type="box" size=".2 .1 .1" mass="1"/></body>
+  </worldbody><actuator>
+  <general name="x" site="centre" gear="1 0 0 0 0 0"/><general name="y" site="centre" gear="0 1 0 0 0 0"/>
+  <general name="turn" site="centre" gear="0 0 0 0 0 1"/></actuator></mujoco>""".replace(
+    'mass="1"/>', 'mass="1"/><site name="centre"/>'
+)
+OBEYS: dict[str, Any] = {
+    "root": "cart",
+    "command": {"kind": "velocity", "forward": [-1.0, 2.0]},
+    "observation": [{"kind": "command"}, {"kind": "base_linear_velocity"}, {"kind": "base_angular_velocity"}],
+    "reward": [{"kind": "track_linear_velocity"}],
+    "reset": {"position_noise": 0.0, "velocity_noise": 0.0},
+}
+
+
+def obedient(environment: MujocoEnv) -> bytes:
+    """A policy whose force is what the velocity lacks: command less velocity, forward, left and turning."""
+    lacks = np.zeros((9, 6), np.float32)
+    for axis, place in enumerate((3, 4, 8)):
+        lacks[axis, axis], lacks[place, axis] = 1.0, -1.0
+    # A layer that bends nothing comes first, since the last one is never bent.
+    whole = PolicyLayer(np.eye(9, dtype=np.float32), np.full(9, 100.0, np.float32))
+    layers = (whole, PolicyLayer(lacks, np.zeros(6, np.float32)))
+    network = PolicyNetwork(np.zeros(9, np.float32), np.ones(9, np.float32), None, layers, "relu", "state", 1)
+    return numpy_file(network, contract(network, PolicyOrigin("ppo", "body", {}, environment.dt, 1000)))
+
+
 @pytest.fixture
 def attempt(stack: Stack) -> Attempt:
     return Attempt(stack, job(name="push", algorithm={"kind": "ppo", "num_timesteps": 1000}))
@@ -155,7 +193,8 @@ def attempt(stack: Stack) -> Attempt:
 
 def keep(attempt: Attempt, files: dict[str, tuple[str, bytes]]) -> None:
     for name, (role, content) in files.items():
-        facts = {"can_run": True} if role == "simulation" else {}
+        follows = role == "simulation" and bool(json.loads(content)["command"])
+        facts = {"can_run": True, "follows_commands": follows} if role == "simulation" else {}
         attempt.keep(name, content, role=role, media_type=BINARY, metadata=facts)
 
 
@@ -231,6 +270,30 @@ def test_a_body_falls_to_its_feet_and_a_push_moves_it(tab: Tab, pushed: str) -> 
     expect(page.get_by_text("It starts again.")).to_be_visible()
     page.keyboard.press("Space")
     expect(page.get_by_role("button", name="Play")).to_be_visible()
+
+
+def test_a_body_with_commands_goes_where_it_is_told(tab: Tab, attempt: Attempt, tmp_path: Path) -> None:
+    cart = of_a_user(tmp_path, CART, **OBEYS)
+    keep(attempt, files_of(cart, obedient(cart)))
+    attempt.end(JobStatus.SUCCEEDED)
+    page = tab.open(f"#/jobs/{attempt.id}/push")
+    expect(page.get_by_text("Steer it with W A S D, Q and E")).to_be_visible(timeout=60_000)
+    expect(page.get_by_role("link", name="Drive", exact=True)).to_be_visible()
+    page.get_by_role("button", name="Play").click()
+    until(page, "time > 0.5 && Math.hypot(x, y) < 0.01")
+    page.get_by_role("group", name="The trained body").focus()
+    page.keyboard.down("w")
+    expect(page.get_by_role("row", name="forward, m/s").get_by_role("cell").first).to_have_text("2.00")
+    until(page, "x > 0.5 && Math.abs(y) < 0.05")
+    tab.picture("drive")
+    page.keyboard.up("w")
+    expect(page.get_by_role("row", name="forward, m/s").get_by_role("cell").first).to_have_text("0.00")
+    left = page.get_by_role("button", name="Walk left")
+    left.hover()
+    page.mouse.down()
+    until(page, "y > 0.3")
+    page.mouse.up()
+    assert tab.violations() == []
 
 
 @pytest.mark.extra

@@ -13,17 +13,10 @@ from numpy.typing import NDArray
 
 from core.environments import catalog
 from core.environments.mujoco_env import MujocoEnv
-from core.environments.numbers import (
-    NUM_AHEAD,
-    OBSTACLES_AHEAD,
-    PREVIOUS_ACTION,
-    SHARE_VELOCITY,
-    Ends,
-    NotSimulated,
-    Numbers,
-)
-from core.environments.simulation import Simulation, as_xml
+from core.environments.simulated_model import NotSimulated, as_xml
+from core.environments.simulation import Simulation
 from core.physics.choose import engine_builder
+from core.physics.engine import DERIVED_FIELDS
 from tests.extra import extra
 
 BODIES = ["ant", "half_cheetah", "hopper", "humanoid", "inverted_pendulum", "walker2d"]
@@ -77,72 +70,73 @@ def of_a_user(folder: Path, text: str = CART, **options: Any) -> MujocoEnv:
     return made
 
 
-def read(
-    numbers: Numbers, simulation: Simulation, model: mujoco.MjModel, data: mujoco.MjData, action: Any
-) -> NDArray[np.float64]:
-    """The numbers [n], as docs/push.md describes them."""
-    if numbers.array == PREVIOUS_ACTION:
-        array = np.asarray(action, float)
-    elif numbers.array == OBSTACLES_AHEAD:
-        array = ahead(simulation, *data.qpos[:2])
-    elif numbers.array == SHARE_VELOCITY:
-        mass = np.maximum(data.cinert[:, 9:], 1e-9)
-        own = data.cvel[:, 3:] + np.cross(data.cvel[:, :3], data.cinert[:, 6:9] / mass)
-        array = np.concatenate([own * mass / model.body_mass.sum(), data.cvel[:, :3]], axis=1).ravel()
-    else:
-        array = np.ravel(getattr(data, numbers.array))
-    values = array[np.array(numbers.places, int)] + numbers.add
-    if numbers.less:
-        values = values - array[np.array(numbers.less, int)]
-    return values if numbers.max_abs is None else np.clip(values, -numbers.max_abs, numbers.max_abs)
+class Stepped:
+    """MuJoCo alone under a simulation, as docs/push.md describes it."""
 
+    def __init__(self, simulation: Simulation) -> None:
+        self.simulation = simulation
+        self.model = mujoco.MjModel.from_xml_string(simulation.model)
+        self.data = mujoco.MjData(self.model)
+        self.carried: dict[str, Any] = {}
 
-def ahead(simulation: Simulation, x: float, y: float) -> NDArray[np.float64]:
-    sight = simulation.sight or 0.0
-    found = np.tile([sight, sight, 0.0], (NUM_AHEAD, 1))
-    coming = [one for one in simulation.obstacles if one[1] >= x]
-    for row, (begin, end, middle) in zip(found, coming, strict=False):
-        row[:] = min(begin - x, sight), min(end - x, sight), middle - y if begin - x < sight else 0.0
-    return found.ravel()
+    def begin(self, physics: Any, command: Any = ()) -> NDArray[np.float64]:
+        """The observation at the start, from these positions and velocities."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.place(physics)
+        mujoco.mj_forward(self.model, self.data)
+        return self._after(self.simulation.begin({**self._fields("after"), "command": command}))
+
+    def place(self, physics: Any) -> None:
+        for name in ("qpos", "qvel", "act", "qacc_warmstart"):
+            getattr(self.data, name)[:] = getattr(physics, name)
+
+    def step(self, action: Any, command: Any = ()) -> tuple[NDArray[np.float64], bool]:
+        """The observation, and whether the episode ends."""
+        carried = {f"state.{name}": value for name, value in self.carried.items()}
+        given = {**self._fields("before"), **carried, "action": action, "command": command}
+        self.data.ctrl[:] = self.simulation.control(given)["control"]
+        mujoco.mj_step(self.model, self.data, self.simulation.num_substeps)
+        for stage in (
+            mujoco.mj_fwdPosition,
+            mujoco.mj_sensorPos,
+            mujoco.mj_fwdVelocity,
+            mujoco.mj_sensorVel,
+        ):
+            stage(self.model, self.data)
+        outputs = self.simulation.step({**given, **self._fields("after")})
+        return self._after(outputs), bool(outputs["ended"])
+
+    def _fields(self, when: str) -> dict[str, Any]:
+        names = ("qpos", "qvel", "act", "qacc_warmstart", "time", *DERIVED_FIELDS)
+        return {f"{when}.{name}": np.copy(getattr(self.data, name)) for name in names}
+
+    def _after(self, outputs: Mapping[str, Any]) -> NDArray[np.float64]:
+        self.carried = {
+            name.removeprefix("state."): value for name, value in outputs.items() if name.startswith("state.")
+        }
+        return outputs["observation"]
 
 
 def check(environment: MujocoEnv) -> None:
     """Observations and ends are those of the environment, after each step from each of its states."""
     simulation = environment.simulation()
-    model = mujoco.MjModel.from_xml_string(simulation.model)
-    data = mujoco.MjData(model)
-
-    def seen(ends: Ends | None, action: Any) -> NDArray[np.float64]:
-        parts = simulation.observation if ends is None else [ends.numbers]
-        return np.concatenate([read(one, simulation, model, data, action) for one in parts])
-
     state = jax.jit(jax.vmap(environment.reset))(jax.random.split(jax.random.key(0), NUM_ENVS))
     step = jax.jit(jax.vmap(environment.step))
     actions = jax.random.uniform(
         jax.random.key(1), (NUM_STEPS, NUM_ENVS, environment.action_size), minval=-1, maxval=1
     )
+    bodies = [Stepped(simulation) for _ in range(NUM_ENVS)]
+    for one, body in enumerate(bodies):
+        seen = body.begin(jax.tree.map(lambda values, one=one: values[one], state.physics))
+        np.testing.assert_allclose(seen, state.obs[one], rtol=1e-3, atol=1e-3)
     for action in actions:
         after = step(state, action)
-        for one in range(NUM_ENVS):
-            mujoco.mj_resetData(model, data)
-            for name in ("qpos", "qvel", "act", "qacc_warmstart"):
-                getattr(data, name)[:] = getattr(state.physics, name)[one]
-            data.ctrl[:] = simulation.control_offset + simulation.control_gain * np.asarray(action[one])
-            mujoco.mj_step(model, data, simulation.num_substeps)
-            for stage in (
-                mujoco.mj_fwdPosition,
-                mujoco.mj_sensorPos,
-                mujoco.mj_fwdVelocity,
-                mujoco.mj_sensorVel,
-            ):
-                stage(model, data)
-            np.testing.assert_allclose(seen(None, action[one]), after.obs[one], rtol=1e-3, atol=1e-3)
-            outside = [
-                ((values := seen(ends, action[one])) < (-np.inf if ends.low is None else ends.low)).any()
-                or (values > (np.inf if ends.high is None else ends.high)).any()
-                for ends in simulation.ends
-            ]
-            assert any(outside) == bool(after.done[one])
+        for one, body in enumerate(bodies):
+            body.place(jax.tree.map(lambda values, one=one: values[one], state.physics))
+            mujoco.mj_forward(body.model, body.data)
+            seen, has_ended = body.step(np.asarray(action[one]))
+            np.testing.assert_allclose(seen, after.obs[one], rtol=1e-3, atol=1e-3)
+            assert has_ended == bool(after.done[one])
         state = after
 
 
@@ -162,6 +156,8 @@ CORRIDORS: list[dict[str, Any]] = [
     {"num_next_obstacles": 2, "observables": ["cvel", "qfrc_actuator"], "platform_length": [0.3, 0.6]},
     {"arena": "walls", "wall_gap": [3.6, 4.0], "num_next_obstacles": 4, "terminate_at_height": -0.1},
     {"walker": "rodent", "num_next_obstacles": 1, "aesthetic": "outdoor_natural"},
+    {"egocentric_depth": 4, "contact_termination": True},
+    {"walker": "humanoid", "arena": "empty"},
 ]
 
 
@@ -170,24 +166,16 @@ def test_a_corridors_simulation_says_what_is_ahead(options: dict[str, Any]) -> N
     check(of_the_catalog("corridor", options))
 
 
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        ({"num_layouts": 2}, "each episode has another corridor"),
-        ({"egocentric_depth": 4}, "it sees by a camera"),
-        ({"contact_termination": True}, "contacts end its episodes"),
-        ({"walker": "humanoid", "arena": "empty"}, "added to the controls that hold its start"),
-    ],
-)
-def test_a_corridor_that_takes_more_says_why_it_has_none(options: dict[str, Any], why: str) -> None:
-    with pytest.raises(NotSimulated, match=why):
-        of_the_catalog("corridor", options).simulation()
+@pytest.mark.extra
+def test_a_corridor_that_differs_from_episode_to_episode_says_why_it_has_none() -> None:
+    with pytest.raises(NotSimulated, match="each episode has another corridor"):
+        of_the_catalog("corridor", {"num_layouts": 2}).simulation()
 
 
 def test_options_change_what_a_simulation_says() -> None:
     options = {"exclude_current_positions_from_observation": False, "terminate_when_unhealthy": False}
     ant = of_the_catalog("ant", options)
-    assert ant.simulation().ends == []
+    assert not ant.simulation().step.only(["ended"]).inputs
     check(ant)
 
 
@@ -196,15 +184,38 @@ def test_a_users_terms_are_said_in_mujocos_numbers(tmp_path: Path) -> None:
     environment = of_a_user(tmp_path, **options, reset={"position_noise": 0.3})
     check(environment)
     # ±1 are the ends of the control's range, −1 and 3.
-    simulation = environment.simulation()
-    assert (list(simulation.control_offset), list(simulation.control_gain)) == ([1.0], [2.0])
+    controls = [environment.simulation().control({"action": [end]})["control"] for end in (-1, 1)]
+    np.testing.assert_allclose(controls, [[-1.0], [3.0]])
 
 
-def test_a_model_of_several_files_says_why_it_has_none(tmp_path: Path) -> None:
-    text = CART.replace("<worldbody>", '<asset><mesh name="m" file="arm.stl"/></asset><worldbody>')
+MESHES = """<asset><mesh name="m" file="{file}"/></asset><worldbody>
+  <geom name="shape" type="mesh" mesh="m" contype="{contacts}" conaffinity="{contacts}"/>"""
+
+
+def test_a_mesh_that_touches_others_is_why_there_is_none() -> None:
+    text = CART.replace("<worldbody>", MESHES.format(file="arm.stl", contacts=1))
     spec = mujoco.MjSpec.from_string(text)
-    with pytest.raises(NotSimulated, match=r"more than one file \(it has arm.stl\)"):
+    with pytest.raises(NotSimulated, match=r"touches others is the mesh arm.stl"):
         as_xml(spec, mujoco.MjModel.from_xml_string(CART))
+
+
+def test_meshes_that_are_looks_are_left_out_and_keep_their_weight(tmp_path: Path) -> None:
+    corners = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 .5\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    (tmp_path / "arm.obj").write_text(corners)
+    shapes = """<geom name="look" type="mesh" mesh="m" contype="0" conaffinity="0" pos=".1 0 0"/>
+      <geom name="fitted" type="capsule" mesh="m" contype="0" conaffinity="0"/><joint name="elbow" """
+    asset = '<asset><mesh name="m" file="arm.obj"/></asset><worldbody>'
+    text = CART.replace("<worldbody>", asset).replace('<joint name="elbow" ', shapes)
+    file = tmp_path / "body.xml"
+    file.write_text(text)
+    spec = mujoco.MjSpec.from_file(str(file))
+    stepped = spec.compile()
+    (tmp_path / "arm.obj").unlink()
+    model = mujoco.MjModel.from_xml_string(as_xml(spec, stepped))
+    assert (stepped.nmesh, model.nmesh, model.ngeom) == (1, 0, stepped.ngeom - 1)
+    for name in ("body_mass", "body_inertia", "body_ipos"):
+        np.testing.assert_allclose(getattr(model, name), getattr(stepped, name), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(model.geom("fitted").size, stepped.geom("fitted").size, rtol=1e-5)
 
 
 SERVOS = """
@@ -285,7 +296,7 @@ def test_pictures_are_left_out_of_a_model() -> None:
 
 
 def test_another_environment_says_why_it_has_none() -> None:
-    with pytest.raises(NotSimulated, match="only the training has"):
+    with pytest.raises(NotSimulated, match="made for each training"):
         of_the_catalog("reacher").simulation()
 
 

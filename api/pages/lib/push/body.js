@@ -10,10 +10,10 @@ export class LiveMotion {
     this.lookedAt = 0;
   }
 
-  /** @param {{time: number, positions: Float32Array, rotations: Float32Array}} said By the worker. */
-  take({ time, positions, rotations }) {
+  /** @param {{time: number, positions: Float32Array, rotations: Float32Array, command: number[], motion: number[]}} said By the worker. */
+  take({ time, positions, rotations, command, motion }) {
     if (time < this.time) this.look = null;
-    Object.assign(this, { time, positions, rotations });
+    Object.assign(this, { time, positions, rotations, command, motion });
   }
 
   poses(_, put) {
@@ -26,6 +26,9 @@ export class LiveMotion {
     const number = this.bodies[body];
     return [...this.positions.subarray(3 * number, 3 * number + 3)];
   }
+
+  /** What the body is told and what it does; null of one that follows no command. */
+  velocities = () => (this.command.length ? { commanded: this.command, measured: this.motion } : null);
 
   lookAt(_, body) {
     const here = this.position(body);

@@ -1,8 +1,8 @@
 /** Taking hold of a body on the stage: by mouse, pen or finger; and the arrow of the force that follows. */
 
-import { ConeGeometry, CylinderGeometry, Group, Mesh, MeshPhongMaterial, Plane, Raycaster, Vector2, Vector3 } from "../../vendor/three.js";
+import { Plane, Raycaster, Vector2, Vector3 } from "../../vendor/three.js";
+import { Arrow, FORCE } from "../replay/arrow.js";
 
-const COLOUR = 0xdb3d2e;
 const UP = new Vector3(0, 1, 0);
 
 export class Handle {
@@ -12,8 +12,8 @@ export class Handle {
     this.figure = stage.figures[0];
     this.onPull = onPull;
     this.held = null;
-    this.arrow = arrow(0.06 * stage.about.view.radius);
-    this.figure.world.add(this.arrow);
+    this.arrow = new Arrow(0.06 * stage.about.view.radius, FORCE);
+    this.figure.world.add(this.arrow.root);
     this.area = stage.renderer.domElement.parentElement;
     // Before the camera's controls hear of it, which are below: whoever holds a body does not turn the camera.
     this.area.addEventListener("pointerdown", this.#take, true);
@@ -24,15 +24,9 @@ export class Handle {
   /** Show the force {at, force} in MuJoCo's axes, or none; and pull to where the pointer is now. weight: in N. */
   show(force, weight) {
     if (this.held) this.#pull();
-    this.arrow.visible = Boolean(force);
-    if (!force) return;
-    const { radius } = this.stage.about.view;
-    const along = new Vector3(...force.force);
-    const length = Math.min(1.2, along.length() / weight) * radius;
-    this.arrow.position.set(...force.at);
-    this.arrow.quaternion.setFromUnitVectors(UP, along.normalize());
-    this.arrow.children[0].scale.y = Math.max(length, 1e-6);
-    this.arrow.children[1].position.y = length;
+    if (!force) return this.arrow.hide();
+    const strength = Math.hypot(...force.force) / weight;
+    this.arrow.show(force.at, force.force, Math.min(1.2, strength) * this.stage.about.view.radius);
   }
 
   /** A direction on the screen [right, away] as a unit vector [3] on the ground, in MuJoCo's axes. */
@@ -47,8 +41,8 @@ export class Handle {
     this.area.removeEventListener("pointerdown", this.#take, true);
     this.area.removeEventListener("pointermove", this.#move, true);
     for (const end of ["pointerup", "pointercancel"]) this.area.removeEventListener(end, this.#leave, true);
-    this.figure.world.remove(this.arrow);
-    for (const { geometry } of this.arrow.children) geometry.dispose();
+    this.figure.world.remove(this.arrow.root);
+    this.arrow.dispose();
   }
 
   #take = (event) => {
@@ -107,15 +101,4 @@ export class Handle {
     ray.setFromCamera(this.pointer, this.stage.camera);
     return ray;
   }
-}
-
-/** Along y: a shaft of length 1, and a tip. */
-function arrow(radius) {
-  const look = new MeshPhongMaterial({ color: COLOUR });
-  const shaft = new Mesh(new CylinderGeometry(0.4 * radius, 0.4 * radius, 1, 12).translate(0, 0.5, 0), look);
-  const tip = new Mesh(new ConeGeometry(radius, 3 * radius, 16), look);
-  const group = new Group();
-  group.add(shaft, tip);
-  group.visible = false;
-  return group;
 }

@@ -1,16 +1,19 @@
 /** A body under its policy, stepped by MuJoCo as `simulation.json` says (docs/push.md). Uses nothing of the page. */
 
+import { OlderTask } from "./older_task.js";
+import { Task } from "./task.js";
+
 // Of the spring that pulls a body, as in MuJoCo's own viewer: for each kg that the body has where it is held.
 // The camera goes along with a body that runs, so a critical damping would brake it more than the spring pulls.
 const STIFFNESS = 100; // N/m
 const DAMPING = 0.4 * Math.sqrt(STIFFNESS); // N s/m: a fifth of critical
 const MOST = 5; // times the weight of the whole
-const NUM_AHEAD = 10; // obstacles of a corridor
+const CALM_S = 0.3; // Over which the measured velocity is averaged: a step of a foot sways the body.
 
 export class Simulation {
   /** @param {object} mujoco The loaded module. @param {object} recipe `simulation.json`. Raises Error if MuJoCo cannot read the model. */
   constructor(mujoco, recipe, policy) {
-    if (recipe.format !== "gaitway-simulation" || recipe.version !== 1) throw new Error("This file is not a simulation that the page knows.");
+    if (recipe.format !== "gaitway-simulation" || recipe.version > 2) throw new Error("This file is not a simulation that the page knows.");
     this.mujoco = mujoco;
     this.recipe = recipe;
     this.setPolicy(policy);
@@ -18,6 +21,8 @@ export class Simulation {
     this.data = new mujoco.MjData(this.model);
     this.mass = this.model.body_mass.reduce((sum, mass) => sum + mass, 0);
     this.weight = this.mass * Math.hypot(...this.model.opt.gravity);
+    this.task = recipe.version === 1 ? new OlderTask(recipe, this.data, this.model) : new Task(recipe, this.data);
+    this.command = (recipe.command || []).map(() => 0);
     this.reset();
   }
 
@@ -31,17 +36,15 @@ export class Simulation {
     this.held = policy.about.action.held_steps;
   }
 
-  /** Begin an episode. random: numbers in [0, 1); () => 0.5 begins without noise. */
+  /** What the policy is told to do: a number for each of `recipe.command`. */
+  setCommand(command) {
+    this.command = command;
+  }
+
+  /** Begin an episode. random: gives numbers in [0, 1). */
   reset(random = Math.random) {
-    const { mujoco, model, data } = this;
-    const { qpos, qvel = [], act = [], noise } = this.recipe;
-    const even = (scale) => scale * (2 * random() - 1);
-    const normal = (scale) => scale * Math.sqrt(-2 * Math.log(1 - random())) * Math.cos(2 * Math.PI * random());
-    mujoco.mj_resetData(model, data);
-    data.qpos.set(qpos.map((value) => value + even(noise.position)));
-    const jolt = () => (noise.is_normal ? normal(noise.velocity) : even(noise.velocity));
-    data.qvel.set(Array.from(data.qvel, (_, place) => (qvel[place] ?? 0) + jolt()));
-    if (act.length) data.act.set(act);
+    this.mujoco.mj_resetData(this.model, this.data);
+    this.task.place(random);
     this.begin();
   }
 
@@ -50,37 +53,33 @@ export class Simulation {
     this.mujoco.mj_forward(this.model, this.data);
     this.action = new Float64Array(this.model.nu);
     this.substep = 0;
+    this.hasEnded = false;
+    this.motion = this.command.map(() => 0);
+    this.observation = this.task.begin(this.command);
     this.setPull(null);
   }
 
   /** Move by one time step of the model; at the beginning of each action the policy is asked. */
   step() {
-    const { num_substeps: numSubsteps, control_offset: offset, control_gain: gain } = this.recipe;
-    if (this.substep % (numSubsteps * this.held) === 0) {
-      this.action = this.policy.act(this.observe());
-      this.data.ctrl.set(this.action.map((value, i) => offset[i] + gain[i] * value));
+    const { num_substeps: numSubsteps } = this.recipe;
+    if (this.isBetweenActions) {
+      if (this.substep % (numSubsteps * this.held) === 0) this.action = this.policy.act(this.observation);
+      this.data.ctrl.set(this.task.control(this.action, this.command));
     }
     this.#apply();
     this.mujoco.mj_step(this.model, this.data);
     this.substep += 1;
+    if (!this.isBetweenActions) return;
     // As after an environment's step: what MuJoCo derives describes the state that is reached.
-    if (this.substep % numSubsteps === 0) this.#derive();
+    this.#derive();
+    const { observation, ended } = this.task.after(this.action, this.command);
+    Object.assign(this, { observation, hasEnded: ended });
+    this.#measure();
   }
 
   /** Whether an action has just ended, when episodes may end. */
   get isBetweenActions() {
     return this.substep % this.recipe.num_substeps === 0;
-  }
-
-  observe() {
-    return this.recipe.observation.flatMap((numbers) => this.#read(numbers));
-  }
-
-  /** Whether the episode would end here. */
-  hasEnded() {
-    return this.recipe.ends.some(({ numbers, low, high }) =>
-      this.#read(numbers).some((value) => value < (low ?? -Infinity) || value > (high ?? Infinity) || Number.isNaN(value)),
-    );
   }
 
   /**
@@ -103,42 +102,16 @@ export class Simulation {
     for (const stage of ["mj_fwdPosition", "mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel"]) this.mujoco[stage](this.model, this.data);
   }
 
-  #read({ array, places, less, add, max_abs: most }) {
-    const values = this.#array(array);
-    return places.map((place, i) => {
-      const value = values[place] + add - (less.length ? values[less[i]] : 0);
-      return most === null ? value : Math.min(Math.max(value, -most), most);
-    });
-  }
-
-  #array(name) {
-    if (name === "previous_action") return this.action;
-    if (name === "obstacles_ahead") return this.#ahead();
-    if (name === "share_velocity") return this.#shares();
-    return this.data[name];
-  }
-
-  /** Of each next obstacle, how far ahead it begins and ends and how far to the left the way past it is. */
-  #ahead() {
-    const { obstacles, sight } = this.recipe;
-    const [x, y] = this.data.qpos;
-    const coming = obstacles.filter(([, end]) => end >= x).slice(0, NUM_AHEAD);
-    const seen = coming.map(([begin, end, middle]) => [Math.min(begin - x, sight), Math.min(end - x, sight), begin - x < sight ? middle - y : 0]);
-    while (seen.length < NUM_AHEAD) seen.push([sight, sight, 0]);
-    return seen.flat();
-  }
-
-  #shares() {
-    const { cinert, cvel } = this.data;
-    const shares = [];
-    for (let body = 0; body < this.model.nbody; body++) {
-      const [ax, ay, az, vx, vy, vz] = cvel.subarray(6 * body, 6 * body + 6);
-      const [mx, my, mz, mass] = cinert.subarray(10 * body + 6, 10 * body + 10);
-      // The velocity at the body's own centre of mass, by its share of all masses.
-      const [ox, oy, oz] = cross([ax, ay, az], [mx, my, mz]);
-      shares.push((mass * vx + ox) / this.mass, (mass * vy + oy) / this.mass, (mass * vz + oz) / this.mass, ax, ay, az);
-    }
-    return shares;
+  /** The velocity that a command is about, in the root's own frame: forward and left in m/s, turn in rad/s. */
+  #measure() {
+    const { data, model, recipe } = this;
+    if (!this.command.length) return;
+    const body = recipe.tracked_body;
+    const turn = data.xmat.subarray(9 * body, 9 * body + 9);
+    const [x, y, z, , , spin] = data.qvel.subarray(model.body_dofadr[body], model.body_dofadr[body] + 6);
+    const now = [turn[0] * x + turn[3] * y + turn[6] * z, turn[1] * x + turn[4] * y + turn[7] * z, spin];
+    const share = 1 - Math.exp((-recipe.num_substeps * model.opt.timestep) / CALM_S);
+    this.motion = this.motion.map((part, i) => part + share * ((now[i] ?? 0) - part));
   }
 
   /** The pull as MuJoCo's applied force: at the body's centre of mass, with the torque about it. */

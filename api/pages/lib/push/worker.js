@@ -2,8 +2,8 @@
  * Steps a body in real time, beside the page: MuJoCo's WebAssembly is allowed by this file's own
  * Content-Security-Policy alone.
  *
- * It hears {open: {recipe, policy}}, then {policy} in its place, {pull}, {reset: true}, {run: boolean}. It says
- * {failure}, or after each picture's time {time, positions, rotations, force, weight, isSlow}; {fell: seconds} once an
+ * It hears {open: {recipe, policy}}, then {policy} in its place, {pull}, {command: numbers}, {reset: true}, {run: boolean}. It says
+ * {failure}, or after each picture's time {time, positions, rotations, force, weight, motion, command, isSlow}; {fell: seconds} once an
  * episode has ended; and {trainedSteps} of the policy that acts.
  */
 
@@ -51,7 +51,7 @@ function advance() {
   const { timestep } = simulation.model.opt;
   for (; behind >= timestep; behind -= timestep) {
     simulation.step();
-    if (fallenUntil === null && simulation.isBetweenActions && simulation.hasEnded()) {
+    if (fallenUntil === null && simulation.isBetweenActions && simulation.hasEnded) {
       postMessage({ fell: simulation.time });
       fallenUntil = simulation.time + LIE_S;
     }
@@ -62,8 +62,8 @@ function advance() {
 
 function tell(isSlow = false) {
   const { positions, rotations } = simulation.poses();
-  const { force, weight } = simulation;
-  postMessage({ time: simulation.time, positions, rotations, force, weight, isSlow }, [positions.buffer, rotations.buffer]);
+  const { force, weight, motion, command } = simulation;
+  postMessage({ time: simulation.time, positions, rotations, force, weight, motion, command, isSlow }, [positions.buffer, rotations.buffer]);
 }
 
 onmessage = async ({ data: said }) => {
@@ -74,6 +74,7 @@ onmessage = async ({ data: said }) => {
       tellPolicy();
     }
     if (said.pull !== undefined) simulation.setPull(said.pull);
+    if (said.command) simulation?.setCommand(said.command);
     if (said.reset) reset();
     if (said.run !== undefined) {
       isRunning = said.run;

@@ -12,6 +12,7 @@ import {
   Vector3,
 } from "../../vendor/three.js";
 import { clone } from "../../vendor/three-skeleton-utils.js";
+import { VelocityArrows } from "./arrow.js";
 import { Motion } from "./motion.js";
 
 const CONTACT = 0xe6993a;
@@ -46,12 +47,22 @@ export class Figure {
     this.target = about.target_body === null ? this.#mark(0.07 * radius, episode) : this.root.getObjectByName(`body_${about.target_body}`);
   }
 
+  /** Show what the tracked body is told and what it does. */
+  #showVelocities(time) {
+    const velocities = this.motion.velocities(time);
+    if (!velocities || this.tracked < 0) return;
+    this.velocities ||= new VelocityArrows(this.world, this.about.view.radius);
+    const { position, quaternion: { w, x, y, z } } = this.bodies[this.tracked];
+    this.velocities.show(position.toArray(), [w, x, y, z], velocities.commanded, velocities.measured);
+  }
+
   /** Stand as at a moment; after the end, as at the end. */
   show(time, { contacts }) {
     this.motion.poses(time, (body, [x, y, z], [w, i, j, k]) => {
       this.bodies[body].position.set(x, y, z);
       this.bodies[body].quaternion.set(i, j, k, w);
     });
+    this.#showVelocities(time);
     const target = this.motion.target(time);
     if (target) this.target?.position.fromArray(target);
     this.contacts.visible = contacts;
@@ -78,6 +89,7 @@ export class Figure {
     for (const mesh of [this.contacts, this.tendons, this.mark]) mesh?.geometry.dispose();
     this.contacts.dispose();
     this.tendons.dispose();
+    this.velocities?.dispose();
   }
 
   #hideSurroundings() {

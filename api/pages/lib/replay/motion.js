@@ -60,6 +60,14 @@ export class Motion {
     return target.subarray(3 * frame, 3 * frame + 3);
   }
 
+  /** The velocities that the body is told and has, each [3] in its own frame, or null. */
+  velocities(time) {
+    const { command, velocity } = this.episode;
+    if (!command) return null;
+    const [frame] = this.at(time);
+    return { commanded: command.subarray(3 * frame, 3 * frame + 3), measured: velocity.subarray(3 * frame, 3 * frame + 3) };
+  }
+
   /** Call `put(index, position, normal)` for each point of contact; returns their number. */
   contacts(time, put) {
     const frame = this.nearest(time);

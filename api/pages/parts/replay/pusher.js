@@ -1,4 +1,4 @@
-/** A stage with a body that lives: its policy moves it, and whoever looks may push it. */
+/** A stage with a body that lives: its policy moves it, and whoever looks may push it, and steer it if it follows commands. */
 
 import { count } from "../../lib/format.js";
 import { html, useEffect, useRef, useState } from "../../lib/html.js";
@@ -7,12 +7,21 @@ const PUSH_MS = 200;
 const LONGEST_PICTURE_MS = 500; // After a longer break nothing was drawn.
 const STRENGTHS = [0.25, 0.5, 1, 2];
 const SIDES = { left: [-1, 0], right: [1, 0], away: [0, 1], closer: [0, -1] };
-const KEYS = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "away", ArrowDown: "closer" };
+const PUSHES = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "away", ArrowDown: "closer" };
 const ARROWS = { left: "←", right: "→", away: "↑", closer: "↓" };
+/** What each button tells a body that follows commands, in the order of a keyboard. */
+const PAD = [
+  ["KeyQ", "↺", "Turn left"],
+  ["KeyW", "▲", "Walk forward"],
+  ["KeyE", "↻", "Turn right"],
+  ["KeyA", "◀", "Walk left"],
+  ["KeyS", "▼", "Walk back"],
+  ["KeyD", "▶", "Walk right"],
+];
 const isStill = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 /**
- * @param {object} modules Stage, Handle, LiveMotion, episodeOf, startPhysics.
+ * @param {object} modules Stage, Handle, LiveMotion, Steering, KEYS of steering, episodeOf, startPhysics.
  * @param {object} shown scene, about (a replay's header), recipe.
  * @param {ArrayBuffer} policy The one that acts; another takes its place while the body moves.
  * @param {boolean} isTraining Whether newer policies may come.
@@ -27,6 +36,9 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
   const [trainedSteps, setTrainedSteps] = useState(null);
   const [isRunning, setRunning] = useState(!isStill());
   const [strength, setStrength] = useState(0.5);
+  const ranges = shown.recipe.command || [];
+  const isSteered = ranges.length > 0;
+  const [speeds, setSpeeds] = useState(null);
 
   useEffect(() => {
     const { about, recipe } = shown;
@@ -51,11 +63,21 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
       stage.setEpisodes(shown.scene, about, [modules.episodeOf(motion)], false);
       parts.current.handle = new modules.Handle(stage, (pull) => parts.current.physics.say({ pull }));
       setPhase("ready");
-      setStory("Take hold of the body and pull.");
+      setStory(isSteered ? "Steer it with W A S D, Q and E; take hold of the body and pull." : "Take hold of the body and pull.");
+    };
+    const steering = new modules.Steering(ranges);
+    parts.current.steering = steering;
+    let asked = [];
+    const steer = () => {
+      const command = steering.command();
+      if (command.every((part, i) => part === asked[i])) return;
+      asked = command;
+      parts.current.physics.say({ command });
     };
     // With each of the browser's pictures, so that the stage learns how long they take.
     const draw = (at) => {
       parts.current.frame = requestAnimationFrame(draw);
+      if (isSteered) steer();
       if (!news) return;
       const { stage, handle } = parts.current;
       handle.show(news.force, news.weight);
@@ -65,6 +87,7 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
       Object.assign(picture.dataset, { time: news.time, position: motion.position(about.bodies.indexOf(recipe.tracked_body)).join(" ") });
       if (at - told > 100) {
         setTime(news.time);
+        if (isSteered) setSpeeds({ commanded: news.command, measured: news.motion });
         told = at;
       }
       news = null;
@@ -113,13 +136,17 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
   const restart = () => (say({ reset: true }), setStory("It starts again."));
   const press = (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const act = { " ": () => setRunning(!isRunning), r: restart }[event.key] || (KEYS[event.key] && (() => push(KEYS[event.key])));
+    const steers = isSteered && !event.shiftKey && modules.KEYS[event.code] && (() => parts.current.steering.press(event.code));
+    const pushes = PUSHES[event.key] && !event.repeat && (() => push(PUSHES[event.key]));
+    const act = { " ": () => setRunning(!isRunning), r: restart }[event.key] || steers || pushes;
     if (!act) return;
     event.preventDefault();
     act();
   };
+  const release = (event) => parts.current.steering?.release(event.code);
+  const letGo = () => parts.current.steering?.releaseAll();
   return html`<div class="replay push">
-    <div class="stage" tabindex="0" role="group" aria-label="${name}; keys are listed below" onKeyDown=${press}>
+    <div class="stage" tabindex="0" role="group" aria-label="${name}; keys are listed below" onKeyDown=${press} onKeyUp=${release} onBlur=${letGo}>
       <canvas ref=${canvas} role="img" aria-label=${name}></canvas>
       ${failure && html`<p class="state failure" role="alert">${failure.message}</p>`}
     </div>
@@ -128,6 +155,10 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
       <p><span role="status">${failure ? "" : story}</span> <span class="facts">${time.toFixed(1)} s</span></p>
     </div>
     ${trainedSteps !== null && html`<p class="facts">Policy at step ${count(trainedSteps)}${isTraining ? "; the training's next one takes its place as soon as it is here" : ""}</p>`}
+    ${isSteered && html`<div class="steering">
+      <${Pad} isReady=${phase === "ready"} steering=${() => parts.current.steering} />
+      <${Speeds} ranges=${ranges} ...${speeds || { commanded: ranges.map(() => 0), measured: ranges.map(() => 0) }} />
+    </div>`}
     <div class="tools" role="group" aria-label="Pushing">
       ${Object.keys(SIDES).map((side) => html`<button type="button" disabled=${phase !== "ready"} onClick=${() => push(side)} aria-label="Push it ${side}">${ARROWS[side]}</button>`)}
       <label>Strength
@@ -140,7 +171,34 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
     </div>
     <details><summary>Mouse, touch and keys</summary>
       <p class="facts">Drag the body to pull it, and beside it to turn the picture; drag with the right button or two fingers to move,
-      wheel or pinch to come closer. With the picture in focus: ← → ↑ ↓ push it for 0.2 s, as seen from here; space pauses; r starts again.</p>
+      wheel or pinch to come closer. With the picture in focus: ${
+        isSteered
+          ? "W and S or ↑ and ↓ walk forward and back, A and D or ← and → to the sides, Q and E turn; Shift with an arrow pushes it for 0.2 s"
+          : "← → ↑ ↓ push it for 0.2 s"
+      }, as seen from here; space pauses; r starts again.${isSteered ? " Of a gamepad, the left stick walks and the right one turns." : ""}</p>
     </details>
   </div>`;
+}
+
+/** Buttons that steer while they are held. */
+function Pad({ isReady, steering }) {
+  const isPress = ({ key }) => key === " " || key === "Enter";
+  return html`<div class="pad" role="group" aria-label="Steering">${PAD.map(([code, sign, name]) => {
+    const press = () => steering()?.press(code);
+    const release = () => steering()?.release(code);
+    const take = (event) => (event.preventDefault(), event.currentTarget.setPointerCapture(event.pointerId), press());
+    return html`<button key=${code} type="button" disabled=${!isReady} aria-label=${name} title="${name}: ${code.slice(-1)}"
+      onPointerDown=${take} onPointerUp=${release} onPointerCancel=${release} onBlur=${release} onContextMenu=${(event) => event.preventDefault()}
+      onKeyDown=${(event) => isPress(event) && (event.preventDefault(), press())} onKeyUp=${release}>${sign}</button>`;
+  })}</div>`;
+}
+
+/** What the body is told and what it does, in numbers. */
+function Speeds({ ranges, commanded, measured }) {
+  return html`<table class="speeds">
+    <thead><tr><th scope="col">Velocity</th><th scope="col" class="commanded">Command</th><th scope="col" class="measured">Measured</th></tr></thead>
+    <tbody>${ranges.slice(0, 3).map(({ name, unit, low, high }, i) => html`<tr key=${name} title="Trained from ${low} to ${high} ${unit}">
+      <th scope="row">${name}, ${unit}</th><td>${commanded[i].toFixed(2)}</td><td>${measured[i].toFixed(2)}</td>
+    </tr>`)}</tbody>
+  </table>`;
 }

@@ -18,6 +18,9 @@ export const policyOf = (job) => ofSeed(job).artifacts.find((file) => /^policy(-
 export const canPush = (job) =>
   job.artifacts.some((file) => file.role === "simulation" && file.metadata.can_run) && Boolean(policyOf(job)) && replaysOf(job).length > 0;
 
+/** Whether the job's body follows commands, so that it may be steered. */
+export const canDrive = (job) => canPush(job) && job.artifacts.some((file) => file.role === "simulation" && file.metadata.follows_commands);
+
 /** The job's replays by step; that of a rollout has no step. */
 export const replaysOf = (job) =>
   ofSeed(job).artifacts.filter((file) => file.role === "replay").sort((a, b) => (a.step ?? Infinity) - (b.step ?? Infinity));
@@ -86,7 +89,7 @@ function Loaded({ job, files, file, query, isAlone }) {
       <${Episodes} about=${shown.about} chosen=${wanted} isBeside=${isBeside} />
     <//>
     ${isAlone ? html`<p class="facts">${subject(file, "The policy")}${at(file.step)}</p>` : html`<${Steps} files=${files} file=${file} />`}
-    ${canPush(job) && html`<p><a href="#/jobs/${job.id}/push">Push it, and see whether it recovers</a></p>`}
+    ${canPush(job) && html`<p><a href="#/jobs/${job.id}/push">${canDrive(job) ? "Drive it with the keyboard, and push it" : "Push it, and see whether it recovers"}</a></p>`}
   `;
 }
 

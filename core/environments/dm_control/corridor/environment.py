@@ -1,7 +1,7 @@
 """A walker that learns to run down a corridor. Rewards as in the tutorial notebook."""
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import reduce
 from types import MappingProxyType
@@ -20,8 +20,8 @@ from core.environments.dm_control.corridor.options import in_order, values
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
-from core.environments.numbers import OBSTACLES_AHEAD, Ends, Noise, NotSimulated, Numbers, numbers, rows
-from core.environments.simulation import Simulation
+from core.environments.simulated_model import NotSimulated
+from core.environments.simulation import Simulation, simulation_of
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 
@@ -126,15 +126,9 @@ class Corridor(MujocoEnv):
         return self._after(state.physics, physics, action, state.info)
 
     def simulation(self) -> Simulation:
-        options, scale = self._options, self._options.reset_noise_scale
-        check_can_be_pushed(options)
-        simulation = self.simulated(
-            corridor_spec(options),
-            observation=[*observation(options, self.model, self._bodies)],
-            noise=Noise(scale, scale, is_normal=False),
-            ends=[*ends(options, self.model, self.tracked_body, ground=_GROUND_M)],
-        )
-        return replace(simulation, obstacles=obstacles(self.model), sight=SIGHT_M)
+        if self._options.has_layouts:
+            raise NotSimulated("each episode has another corridor")
+        return simulation_of(self, corridor_spec(self._options))
 
     def _control(self, action: jax.Array) -> jax.Array:
         """The control [nu] for an action [nu], both in [-1, 1]."""
@@ -227,44 +221,3 @@ def _target_velocities(options: CorridorOptions) -> jax.Array | None:
         return None
     levels = at_every_level(options, options.curriculum)
     return jnp.array([one.target_velocity for one in levels], jnp.float32)
-
-
-# The numbers of a body in MuJoCo's arrays.
-_ROW = {"cinert": 10, "cvel": 6}
-
-
-def check_can_be_pushed(options: CorridorOptions) -> None:
-    """Raises NotSimulated where a program would need more than MuJoCo and the corridor's obstacles."""
-    refusals = {
-        "each episode has another corridor": options.has_layouts,
-        "it sees by a camera": options.egocentric_depth > 0,
-        "contacts end its episodes": options.contact_termination,
-        "its actions are added to the controls that hold its start": options.counts_from_start,
-    }
-    for why, is_so in refusals.items():
-        if is_so:
-            raise NotSimulated(why)
-
-
-def observation(options: CorridorOptions, model: mujoco.MjModel, bodies: slice) -> Iterator[Numbers]:
-    """The parts of the observation, in their order. bodies: those of the walker."""
-    hidden = 2 if options.exclude_current_positions_from_observation else 0
-    yield numbers("qpos", range(hidden, model.nq))
-    yield numbers("qvel", range(model.nv))
-    for name in in_order(options.observables):
-        if name == "qfrc_actuator":
-            yield numbers(name, range(model.nv))
-        else:
-            yield rows(name, range(bodies.start, bodies.stop), _ROW[name])
-    yield numbers(OBSTACLES_AHEAD, range(3 * options.num_next_obstacles))
-
-
-def ends(options: CorridorOptions, model: mujoco.MjModel, trunk: int, *, ground: float) -> Iterator[Ends]:
-    """When episodes end. ground: the height below which the trunk has fallen, in m."""
-    height = rows("xpos", [trunk], 3, [2])
-    yield Ends(height, ground, None)
-    if options.terminate_when_unhealthy:
-        yield Ends(height, *options.healthy_range)
-    if options.terminate_at_height is not None:
-        feet = [model.body(name).id for name in WALKERS[options.walker].end_effectors]
-        yield Ends(rows("xpos", feet, 3, [2]), options.terminate_at_height, None)

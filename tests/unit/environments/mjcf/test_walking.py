@@ -10,7 +10,6 @@ import pytest
 
 from core.environments import catalog
 from core.environments.environment import Environment, State
-from core.environments.numbers import NotSimulated
 from core.environments.task import TaskEnv
 from core.errors import JobFailed, Rejected
 from tests.unit.environments.mjcf.probe import KEY, XML, build
@@ -151,13 +150,6 @@ def test_a_foot_slips_where_its_sole_moves_along_the_ground(
         environment.reset(KEY), qpos=[0, 0, height, 1, 0, 0, 0, 0], qvel=[0.4, 0, 0, 0, turn, 0, 0]
     )
     assert float(environment.step(state, NO_TORQUE).reward) == pytest.approx(-slips, abs=5e-3)
-
-
-def test_a_body_that_follows_commands_is_not_pushed_on_the_page(tmp_path: Path) -> None:
-    environment = build(tmp_path, command=FORWARD, observation=[{"kind": "command"}], reward=[TRACKS])
-    assert isinstance(environment, TaskEnv)
-    with pytest.raises(NotSimulated, match="follows commands"):
-        environment.simulation()
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from core.environments.mjcf.check import problems
 from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.edit_options import ModelEdits
 from core.environments.mjcf.info import MjcfOptions
-from core.environments.numbers import NotSimulated
+from core.environments.simulated_model import NotSimulated
 from core.environments.task import TaskEnv
 from core.environments.terms.describe import inventory
 from core.environments.terrain.layouts import NUM_VARIANTS

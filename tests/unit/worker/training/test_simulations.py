@@ -28,13 +28,13 @@ def test_a_body_is_told_as_it_is_before_it_is_randomised(tmp_path: Path) -> None
     hopper = of_the_catalog("hopper")
     [message], document = handed_over(tmp_path, RandomizedEnvironment(hopper, {}))
     assert (message["role"], message["media_type"]) == ("simulation", "application/json")
-    assert message["metadata"] == {"can_run": True}
+    assert message["metadata"] == {"can_run": True, "follows_commands": False}
     assert document["format"] == "gaitway-simulation"
     assert document == json.loads(json.dumps(hopper.simulation().document()))
 
 
 def test_another_body_has_a_file_that_says_why_it_cannot_be_pushed(tmp_path: Path) -> None:
     [message], document = handed_over(tmp_path, endless())
-    assert message["metadata"] == {"can_run": False}
+    assert message["metadata"] == {"can_run": False, "follows_commands": False}
     assert document["refusal"].startswith("This body cannot be pushed: ")
     assert document["refusal"].endswith(".")
