@@ -117,9 +117,12 @@ class Stepped:
         return outputs["observation"]
 
 
-def check(environment: MujocoEnv) -> None:
+def check(environment: MujocoEnv, command: Any = ()) -> None:
     """Observations and ends are those of the environment, after each step from each of its states."""
     simulation = environment.simulation()
+    assert len(simulation.command) == len(command)
+    if len(command):
+        environment = environment.told(jax.numpy.array(command))
     state = jax.jit(jax.vmap(environment.reset))(jax.random.split(jax.random.key(0), NUM_ENVS))
     step = jax.jit(jax.vmap(environment.step))
     actions = jax.random.uniform(
@@ -127,14 +130,14 @@ def check(environment: MujocoEnv) -> None:
     )
     bodies = [Stepped(simulation) for _ in range(NUM_ENVS)]
     for one, body in enumerate(bodies):
-        seen = body.begin(jax.tree.map(lambda values, one=one: values[one], state.physics))
+        seen = body.begin(jax.tree.map(lambda values, one=one: values[one], state.physics), command)
         np.testing.assert_allclose(seen, state.obs[one], rtol=1e-3, atol=1e-3)
     for action in actions:
         after = step(state, action)
         for one, body in enumerate(bodies):
             body.place(jax.tree.map(lambda values, one=one: values[one], state.physics))
             mujoco.mj_forward(body.model, body.data)
-            seen, has_ended = body.step(np.asarray(action[one]))
+            seen, has_ended = body.step(np.asarray(action[one]), command)
             np.testing.assert_allclose(seen, after.obs[one], rtol=1e-3, atol=1e-3)
             assert has_ended == bool(after.done[one])
         state = after
@@ -143,6 +146,12 @@ def check(environment: MujocoEnv) -> None:
 @pytest.mark.parametrize("body", [BODIES[0], *extra(*BODIES[1:])])
 def test_a_simulation_gives_the_bodys_observation(body: str) -> None:
     check(of_the_catalog(body))
+
+
+@pytest.mark.extra
+@pytest.mark.parametrize("robot", ["g1", "go1"])
+def test_a_robots_simulation_is_told_what_to_do(robot: str) -> None:
+    check(of_the_catalog(robot), [0.5, -0.2, 0.7])
 
 
 @pytest.mark.extra
@@ -177,6 +186,33 @@ def test_options_change_what_a_simulation_says() -> None:
     ant = of_the_catalog("ant", options)
     assert not ant.simulation().step.only(["ended"]).inputs
     check(ant)
+
+
+WALKS = {
+    "command": {"kind": "velocity"},
+    "feet": ["arm"],
+    "gait": {"offsets": [0.0]},
+    "events": [{"kind": "push", "every_s": 0.1}],
+    "reward": [{"kind": "track_linear_velocity"}],
+    "termination": [{"kind": "bad_orientation", "limit_angle": 0.5}],
+    "observation": [
+        {"kind": "base_linear_velocity", "noise": 0.2, "scale": 2.0, "history": 3},
+        {"kind": "projected_gravity", "delay": {"range": [0.02, 0.02]}},
+        {"kind": "joint_positions", "clip": 0.1},
+        {"kind": "command"},
+        {"kind": "gait_phase"},
+        {"kind": "previous_action"},
+    ],
+}
+
+
+def test_what_terms_compute_and_remember_is_told_without_chance(tmp_path: Path) -> None:
+    environment = of_a_user(tmp_path, **WALKS)
+    simulation = environment.simulation()
+    assert [(one.name, one.low, one.high) for one in simulation.command][2] == ("turn", -1.0, 1.0)
+    carried = {name for name, _ in simulation.step.document()["inputs"] if name.startswith("state.")}
+    assert "state.phase" in carried
+    assert not carried & {"state.key", "state.command"}
 
 
 def test_a_users_terms_are_said_in_mujocos_numbers(tmp_path: Path) -> None:
