@@ -167,10 +167,15 @@ class _Tape:
         return [_Traced(np.asarray(one, np.int64)) for one in listed]
 
     def _tried(self, equation: Any, read: Sequence[_Value], place: int) -> list[_Value] | None:
-        """The results, if the argument `place` is one start along an axis of the first argument: of each
+        """The results, if the argument `place` has starts along one axis of the first argument: of each
         start that there may be, the one that is there."""
         cells, axis = self.cells(read[place]), _axis_of_start(equation, place)
-        if cells.size != 1 or axis is None:
+        if axis is None:
+            return None
+        there = cells.reshape(()) if cells.size == 1 else None
+        if equation.primitive.name == "gather":  # Each start is that of a part of the result.
+            there = np.expand_dims(cells[..., 0], equation.params["dimension_numbers"].offset_dims)
+        if there is None:
             return None
         result: _Value = None
         for start in range(equation.invars[0].aval.shape[axis]):
@@ -178,7 +183,7 @@ class _Tape:
             moved = self._moved(equation, [*read[:place], known, *read[place + 1 :]])
             if moved is None:
                 return None
-            is_there = self.add("ge", _Traced(cells.reshape(())), start)
+            is_there = self.add("ge", _Traced(there), start)
             result = moved[0] if result is None else self.add("select", is_there, result, moved[0])
         return [result]
 
@@ -236,6 +241,7 @@ _MOVES: Mapping[str, Callable[..., Cells]] = {
     "slice": _sliced,
     "stack": lambda *cells, axis: np.stack(cells, axis),
     "squeeze": lambda cells, dimensions: np.squeeze(cells, tuple(dimensions)),
+    "tile": lambda cells, reps: np.tile(cells, reps),
     "transpose": lambda cells, permutation: np.transpose(cells, permutation),
 }
 # Those that move some of their arguments to places that others say.

@@ -197,7 +197,7 @@ WALKS = {
     "termination": [{"kind": "bad_orientation", "limit_angle": 0.5}],
     "observation": [
         {"kind": "base_linear_velocity", "noise": 0.2, "scale": 2.0, "history": 3},
-        {"kind": "projected_gravity", "delay": {"range": [0.02, 0.02]}},
+        {"kind": "projected_gravity", "delay": [0.02, 0.04]},
         {"kind": "joint_positions", "clip": 0.1},
         {"kind": "command"},
         {"kind": "gait_phase"},

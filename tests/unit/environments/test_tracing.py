@@ -25,6 +25,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "reduced": lambda x, m, i: jnp.stack([m.sum(), m.max(0)[1], jnp.prod(x), m.mean(1)[0], jnp.all(x < 9)]),
     "curved": lambda x, m, i: jnp.stack([x**3, jnp.arctan(x), jnp.tanh(x), jax.nn.sigmoid(x), x**2]),
     "read at i": lambda x, m, i: jnp.append(m[i], jax.lax.dynamic_slice(x, (i,), (2,))),
+    "read at several": lambda x, m, i: m[jnp.stack([i, 2 - i])] + x[jnp.array([i, i + 1, 0])],
     "written at i": lambda x, m, i: m.at[i].set(x[:3]),
     "constants": lambda x, m, i: x * np.array([1.0, np.inf, -2.0, 0.5], np.float32) + np.arange(4),
     "chance": lambda x, m, i: x + jax.random.uniform(jax.random.key(0), (4,)),
