@@ -5,7 +5,7 @@ import { ago, bytes, compact, duration, modelName, value } from "../lib/format.j
 import { html, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { href } from "../lib/route.js";
-import { Confirm, Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
+import { Confirm, Copy, Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
 import { ProjectChoice, whose } from "../parts/whose.js";
 
 const LIMIT = 50;
@@ -85,12 +85,22 @@ function Model({ model, again }) {
     ${found?.main && html`<p class="facts">Read from ${found.main}</p>`}
     ${model.message && html`<p class="error"><${Prose} text=${model.message} /></p>`}
     ${found && html`<${Contents} found=${found} />`}
+    ${found?.recipe && html`<${Recipe} model=${model} />`}
     ${error && html`<${Failure} error=${error} />`}
     <p class="actions">
       ${model.status === "ready" && html`<a class="button" href=${href(["submit"], { environment: "mjcf", model: model.id })}>Train it</a>`}
       <${Confirm} text="Delete" question="Delete this model?" onYes=${discard} isDangerous />
     </p>
   </section>`;
+}
+
+/** A job in which the robot learns to walk by command: `gaitway models show NAME --recipe`. */
+function Recipe({ model: { id, description: { recipe, recipe_notes: notes = [] } } }) {
+  const job = { kind: "train", environment: { id: "mjcf", options: { model: id, ...recipe } }, battery: true };
+  return html`<details><summary>A job in which it learns to walk by command</summary>
+    ${notes.map((note) => html`<p class="facts"><${Prose} text=${note} /></p>`)}
+    <${Copy} text=${JSON.stringify(job, null, 2)} name="The job as JSON" />
+  </details>`;
 }
 
 /** What the worker found in it. */

@@ -19,8 +19,9 @@ CHOOSER = "Drop an MJCF or URDF file here"
 
 @pytest.fixture
 def reading(stack: Stack) -> Iterator[None]:
-    """A worker that describes each model."""
-    with worker(stack, status="ready", description=DESCRIPTION):
+    """A worker that describes each model, and has a recipe for it."""
+    recipe = {"recipe": {"feet": ["arm"]}, "recipe_notes": ["It has no keyframe."]}
+    with worker(stack, status="ready", description=DESCRIPTION.model_copy(update=recipe)):
         yield
 
 
@@ -28,7 +29,7 @@ def expect_the_ball(page: Page) -> None:
     """The page describes the model: a ball of 1 kg, and an arm of 0.1 kg that a motor moves at its elbow."""
     expect(page.get_by_role("status").filter(has_text="ball.xml is there.")).to_be_visible()
     expect(page.get_by_role("heading", name="ball.xml", exact=True)).to_be_visible()
-    expect(page.get_by_text(identity(XML))).to_be_visible()
+    expect(page.get_by_text(identity(XML), exact=True)).to_be_visible()
     facts = page.locator(".facts-list")
     expect(facts.locator("dt:text-is('Mass') + dd")).to_have_text("1.1 kg")
     expect(facts.locator("dt:text-is('Sizes') + dd")).to_contain_text("nq 8, nv 7, nu 1")
@@ -41,6 +42,9 @@ def expect_the_ball(page: Page) -> None:
     expect(facts.locator("dt:text-is('native') + dd")).to_have_text(
         "the same to 1e-7 after 1 s (its code took 2 s to make)"
     )
+    page.get_by_text("A job in which it learns to walk by command").click()
+    expect(page.get_by_text("It has no keyframe.")).to_be_visible()
+    expect(page.get_by_role("region", name="The job as JSON")).to_contain_text('"feet": [')
     expect(page.get_by_role("link", name="Train it")).to_be_visible()
 
 
