@@ -7,11 +7,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from core.environments.terms.actions import JointPositionAction
+from core.environments.terms.actuation import Actuation
 from core.environments.terms.commands import AnyCommand, GaitClock
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.sensed import Sensed
 from core.environments.terms.step import ModelIndex
+from core.environments.terms.task import TaskOptions, observed
 
 
 class NotDeployed(Exception):
@@ -50,9 +53,10 @@ class Joint:
 
 @dataclass(frozen=True)
 class Deployment:
-    """joints: in the model's order. acting: the number of the joint that each component of an action moves.
-    offset, scale: [nu], a joint's target is offset + scale · action, in rad or m, and within the servo's
-    `bounds` where it has some.
+    """joints: in the model's order. acting: the joint of each servo, by number, [nu]. actuators: the servos
+    that an action moves, by number, in its order; for the others it is 0. smoothing: the share of
+    the last action in the next. offset, scale: [nu], a joint's target is offset + scale · action, in rad or
+    m, and within the servo's `bounds` where it has some.
 
     qpos: where an episode begins, [nq]. physics_step_s, integrator: those of the training.
     """
@@ -60,6 +64,8 @@ class Deployment:
     terms: Sequence[SeenTerm]
     joints: Sequence[Joint]
     acting: Sequence[int]
+    actuators: Sequence[int]
+    smoothing: float
     offset: Sequence[float]
     scale: Sequence[float]
     bounds: Sequence[tuple[float, float] | None]
@@ -75,6 +81,8 @@ class Deployment:
             "joints": [asdict(joint) for joint in self.joints],
             "action": {
                 "joints": [self.joints[number].name for number in self.acting],
+                "actuators": list(self.actuators),
+                "smoothing": self.smoothing,
                 "offset": list(self.offset),
                 "scale": list(self.scale),
                 "bounds": list(self.bounds),
@@ -98,32 +106,24 @@ class Deployment:
 
 
 def deployment(
-    terms: Sequence[ObservationTerm],
-    index: ModelIndex,
-    parts: ModelParts,
-    targets: tuple[np.ndarray, np.ndarray] | None,
-    *,
-    command: AnyCommand | None,
-    gait: GaitClock | None,
+    options: TaskOptions, index: ModelIndex, parts: ModelParts, actuation: Actuation | None
 ) -> Deployment:
-    """The task of these terms. targets: offset and scale [nu] of servos; None: actions are no targets.
-
-    Raises NotDeployed.
-    """
-    if targets is None:
+    """The task under these options. actuation: what actions become. Raises NotDeployed."""
+    if actuation is None or not isinstance(options.action, JointPositionAction):
         raise NotDeployed("its actions are no targets of joints, as those of `joint_position` are")
     model, joints = index.model, index.joints(None).tolist()
     driven = model.actuator_trnid[:, 0].tolist()
-    offset, scale = (values.astype(float).tolist() for values in targets)
     return Deployment(
-        terms=[_seen(term, index, parts) for term in terms],
+        terms=[_seen(term, index, parts) for term in observed(options)],
         joints=[_joint(model, joint, driven, index.pose) for joint in joints],
         acting=[joints.index(joint) for joint in driven],
-        offset=offset,
-        scale=scale,
+        actuators=actuation.actuators.tolist(),
+        smoothing=options.action.smoothing,
+        offset=actuation.offset.astype(float).tolist(),
+        scale=actuation.gain.astype(float).tolist(),
         bounds=[_bounds(model, number) for number in range(model.nu)],
-        command=command,
-        gait=gait,
+        command=options.command,
+        gait=options.gait,
         qpos=index.pose.tolist(),
         physics_step_s=float(model.opt.timestep),
         integrator=mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_").lower(),

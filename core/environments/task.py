@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments.deployment import Deployment, NotDeployed, deployment
+from core.environments.deployment import Deployment, deployment
 from core.environments.environment import Observation, State
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
@@ -18,7 +18,7 @@ from core.environments.observation_group import ObservationGroup
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times, history
-from core.environments.terms.actions import ControlAction, JointAction, JointPositionAction
+from core.environments.terms.actions import ControlAction, JointAction
 from core.environments.terms.actuation import actuation
 from core.environments.terms.binding import bound
 from core.environments.terms.commands import AnyCommand, VelocityCommand
@@ -311,19 +311,8 @@ class TaskEnv(MujocoEnv):
 
     def deployment(self) -> Deployment:
         """The task as a robot runs it. Raises NotDeployed."""
-        options, targets = self._options, None
-        if isinstance(options.action, JointPositionAction) and self._actuation is not None:
-            targets = (self._actuation.offset, self._actuation.gain)
-        if options.action.smoothing or self.action_size < self.model.nu:
-            raise NotDeployed("its actions are smoothed, or are for some of the joints alone")
-        return deployment(
-            observed(options),
-            self._parts,
-            parts_of(options, self._inventory),
-            targets,
-            command=options.command,
-            gait=options.gait,
-        )
+        parts = parts_of(self._options, self._inventory)
+        return deployment(self._options, self._parts, parts, self._actuation)
 
     def told(self, command: jax.Array | None) -> Self:
         there = copy.copy(self)

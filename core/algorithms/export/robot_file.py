@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from math import inf, pi
 from typing import Any
 
+import numpy as np
+
 from core.algorithms.export.contract import as_text
 from core.algorithms.export.network import NotExportable, PolicyNetwork
 from core.algorithms.export.onnx_file import Graph, add_policy, array, model_file
@@ -62,9 +64,10 @@ def robot_file(network: PolicyNetwork, robot: Deployment, about: Mapping[str, An
 
 
 def policy_metadata(robot: Deployment) -> dict[str, str]:
-    """The metadata for `policy.onnx`. Nothing where an action is not one number for each joint in their
-    order: readers of these names would send it to other joints."""
-    if list(robot.acting) != list(range(len(robot.joints))):
+    """The metadata for `policy.onnx`. Nothing where an action is smoothed, or is not one number for each
+    joint in their order: readers of these names would send it to other joints."""
+    in_order = list(range(len(robot.joints)))
+    if list(robot.acting) != in_order or list(robot.actuators) != in_order or robot.smoothing:
         return {}
     return {**_of_the_joints(robot, robot.scale), **_of_the_terms(robot)}
 
@@ -89,8 +92,19 @@ class _RobotGraph:
 
     def add_targets(self, order: Sequence[int]) -> None:
         """The value `joint_targets`: the numbers of the action in this order, as targets."""
-        graph = self.graph
-        moved = graph.add("Mul", "action", graph.constant("action_scale", self._robot.scale))
+        graph, robot = self.graph, self._robot
+        action = "action"
+        if robot.smoothing:
+            last, share = "smoothed_action", graph.constant("smoothing", robot.smoothing)
+            self.inputs[last] = len(robot.actuators)
+            change = graph.add("Mul", graph.add("Sub", last, action), share)
+            action = graph.add("Add", action, change, output=self._fed_back(last, len(robot.actuators)))
+        if list(robot.actuators) != list(range(len(robot.acting))):
+            chosen = [
+                [float(servo == number) for servo in range(len(robot.acting))] for number in robot.actuators
+            ]
+            action = graph.add("MatMul", action, graph.constant("servos", np.array(chosen, np.float32)))
+        moved = graph.add("Mul", action, graph.constant("action_scale", self._robot.scale))
         targets = graph.add("Add", moved, graph.constant("action_offset", self._robot.offset))
         if any(self._robot.bounds):
             ends = zip(*(bounds or (-inf, inf) for bounds in self._robot.bounds), strict=True)

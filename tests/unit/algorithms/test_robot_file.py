@@ -121,6 +121,8 @@ HAND = Deployment(
         Joint("c", 0.3, None, None, None, **DRIVEN),
     ],
     acting=[1, 0],
+    actuators=[0, 1],
+    smoothing=0.0,
     offset=[0.2, 0.1],
     scale=[10.0, 100.0],
     bounds=[(-1.0, 1.0), None],
@@ -201,6 +203,7 @@ def test_metadata_have_the_names_that_mjlab_writes() -> None:
 def test_a_policy_whose_action_is_in_another_order_than_joints_has_no_metadata_of_joints() -> None:
     assert policy_metadata(HAND) == {}
     in_order = replace(HAND, joints=HAND.joints[:2], acting=[0, 1])
+    assert policy_metadata(replace(in_order, smoothing=0.5)) == {}
     told = metadata_of(onnx_file(hand_network(), {}, policy_metadata(in_order)))
     assert (told["joint_names"], told["action_scale"], told["about"]) == ("a,b", "10,100", "{}")
 
@@ -213,3 +216,22 @@ def test_a_policy_that_sees_other_numbers_than_the_task_is_refused() -> None:
 def test_a_task_without_targets_of_joints_has_no_form_for_robots(tmp_path: Path) -> None:
     with pytest.raises(NotDeployed, match="no targets of joints"):
         quadruped(tmp_path, action={"kind": "control"}).deployment()
+
+
+def test_actions_are_smoothed_and_servos_without_one_hold_the_pose() -> None:
+    # The action's first number moves the servo 1, of the joint a; nothing moves the servo of b.
+    layer = PolicyLayer(np.array([[1.0, 0.0]], np.float32), np.zeros(2, np.float32))
+    zeros, ones = np.zeros(1, np.float32), np.ones(1, np.float32)
+    network = PolicyNetwork(zeros, ones, None, (layer,), "relu", "state", 1)
+    term = SeenTerm("joint_positions", 1, 1.0, None, 1, Sensed("joint_positions", ("a", "b"), "rad", (0,)))
+    robot = replace(HAND, terms=[term], joints=HAND.joints[:2], actuators=[1], smoothing=0.75, gait=None)
+    evaluate = ReferenceEvaluator(onnx.load_from_string(robot_file(network, robot, about_of_hand())))
+    values = {
+        "joint_positions": np.array([[0.5, 9.0]], np.float32),
+        "smoothed_action": np.zeros((1, 1), np.float32),
+    }
+    for share in (0.25, 0.4375):  # 1/4, then 3/4 · 1/4 + 1/4
+        outputs = dict(zip(evaluate.output_names, evaluate.run(None, values), strict=True))
+        expected = [0.1 + 100.0 * share * np.tanh(0.5), 0.2]
+        assert outputs["joint_targets"][0].tolist() == pytest.approx(expected, rel=1e-5)
+        values["smoothed_action"] = outputs["next_smoothed_action"]
