@@ -65,6 +65,11 @@ class MujocoEnv(ABC):
     @abstractmethod
     def step(self, state: State, action: jax.Array) -> State: ...
 
+    def placed(self, key: jax.Array, qpos: jax.Array, qvel: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The positions [nq] and velocities [nv] at which an episode begins, from those with noise. key: of
+        the episode's reset."""
+        return qpos, qvel
+
     def simulation(self) -> Simulation:
         """The data with which a program steps this body by MuJoCo alone. Raises NotSimulated."""
         raise NotSimulated("its model is made for each training")
@@ -130,6 +135,7 @@ def noisy_start(
         )
     if environment.initial_qvel is not None:
         qvel += environment.initial_qvel
+    qpos, qvel = environment.placed(key, qpos, qvel)
     if environment.initial_act is None:
         return environment.engine.reset(qpos, qvel, model)
     return environment.engine.reset(qpos, qvel, model, environment.initial_act)

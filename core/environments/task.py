@@ -15,6 +15,7 @@ from core.environments.environment import Observation, State
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.environments.observation_group import ObservationGroup
+from core.environments.random_start import RandomStart
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times, history
@@ -45,8 +46,8 @@ from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsStat
 from core.physics.model import initial_qpos
 
 _LOWEST, _HIGHEST = 0.4, 2.0
-# Folded into a reset's key: the key of the episode's own random numbers.
-_OF_THE_EPISODE = 7
+# Folded into a reset's key: the keys of the episode's own random numbers, and of where it begins.
+_OF_THE_EPISODE, _OF_THE_START = 7, 11
 # What random numbers of a step are for, folded into their key: events have those from 3 on.
 _OF_THE_GROUP, _OF_THE_ACTION = 100, 101
 _OF_THE_TERRAIN = 8
@@ -123,6 +124,8 @@ class TaskEnv(MujocoEnv):
         self._grid = _terrain(options, model, start, named)
         self._cell: jax.Array | None = None
         self._has_chance, self._command = True, None
+        is_moved = options.reset.moves_root or options.reset.joints is not None
+        self._start = RandomStart(options.reset, named) if is_moved else None
         self._is_random = bool(options.command or options.gait or options.events or options.action.delay)
         self._is_random |= self._policy.is_random
         self.observation_size = self._policy.size
@@ -147,6 +150,7 @@ class TaskEnv(MujocoEnv):
         start = self._parts.position(physics, self.tracked_body) if "start" in self._memory else None
         step = Step(physics, physics, nothing, nothing, self.dt, jnp, start=start, control=nothing)
         info = of_the_terrain if start is None else {**of_the_terrain, "start": start}
+        step = self._grounded(step, info)
         if "previous_action" in self._memory:
             info["previous_action"] = nothing
         if self._is_random:
@@ -176,6 +180,11 @@ class TaskEnv(MujocoEnv):
             step = replace(step, foot_times=times)
         return initial(self._after(step, info))
 
+    def placed(self, key: jax.Array, qpos: jax.Array, qvel: jax.Array) -> tuple[jax.Array, jax.Array]:
+        if self._start is None or not self._has_chance:
+            return qpos, qvel
+        return self._start.placed(jax.random.fold_in(key, _OF_THE_START), qpos, qvel)
+
     def step(self, state: State, action: jax.Array) -> State:
         info = dict(state.info)
         if self._is_random:
@@ -190,6 +199,7 @@ class TaskEnv(MujocoEnv):
         step = Step(
             before, physics, action, previous, self.dt, jnp, command, target, start=start, control=control
         )
+        step = self._grounded(step, info)
         if "previous_action" in self._memory:
             info["previous_action"] = action
         if "earlier_action" in self._memory:
@@ -241,6 +251,9 @@ class TaskEnv(MujocoEnv):
         there = copy.copy(self)
         there.initial_qpos = self.initial_qpos.at[self._parts.root_position + 2].add(lift)
         return there, {**fields, **model}, {LAYOUT: layout, WALKED: jnp.zeros(3)}
+
+    def _grounded(self, step: Step, info: Mapping[str, jax.Array]) -> Step:
+        return step if self._grid is None else replace(step, ground=self._grid.ground(info))
 
     def _walked(self, grid: TerrainGrid, step: Step, info: Mapping[str, jax.Array]) -> jax.Array:
         here = self._parts.position(step.after, self.tracked_body)[:2]
@@ -323,8 +336,6 @@ class TaskEnv(MujocoEnv):
     def _after(self, step: Step, info: Mapping[str, jax.Array]) -> State:
         if (gait := self._options.gait) is not None:
             step = replace(step, phases=gait.phases(info["phase"], step))
-        if self._grid is not None:
-            step = replace(step, ground=self._grid.ground(info))
         ended = [term.measure(step) for term in self._ends]
         obs, remembered = self._observe(step, info)
         return self.stepped(

@@ -210,6 +210,13 @@ def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     if options.command is not None and not has["free_root"]:
         yield Problem(f"{_OPTIONS}/command", f"A command needs {_NEEDED['free_root'].format(**words)}.")
     yield from _of_unread_command(options)
+    if options.reset.moves_root and not has["free_root"]:
+        for part in ("pose", "velocity", "fallen"):
+            if getattr(options.reset, part) is not None:
+                detail = f"A random {part} of the root needs {_NEEDED['free_root'].format(**words)}."
+                yield Problem(f"{_OPTIONS}/reset/{part}", detail)
+    if options.reset.joints is not None and not parts.has_range:
+        yield Problem(f"{_OPTIONS}/reset/joints", "None of the model's joints has a range.")
     yield from _of_feet(options, parts.model)
 
 

@@ -22,6 +22,7 @@ from core.environments.terms.metrics import (
 )
 from core.environments.terms.observations import ObservationTerm, Qpos, Qvel, Sensors
 from core.environments.terms.readings import Reading
+from core.environments.terms.starts import Fallen, PoseRange, VelocityRange
 from core.environments.terms.term import Memory, Name, Term
 from core.environments.terms.terminations import AnyTermination
 from core.environments.terms.terrain import Terrain
@@ -60,6 +61,21 @@ class Reset(Strict):
     velocity_distribution: Literal["uniform", "normal"] = Field(
         default="uniform", description="Uniform in ± velocity_noise, or normal with that standard deviation."
     )
+
+    joints: float | None = Field(
+        default=None,
+        ge=0,
+        le=1,
+        description="Joints with a range begin uniform in this share of it, about its middle; null: posed.",
+    )
+    pose: PoseRange | None = Field(default=None, description="Random ranges of the root's pose.")
+    velocity: VelocityRange | None = Field(default=None, description="Random ranges of the root's velocity.")
+    fallen: Fallen | None = Field(default=None, description="Episodes that begin as after a fall.")
+
+    @property
+    def moves_root(self) -> bool:
+        """Whether the root begins elsewhere than noise puts it."""
+        return any(part is not None for part in (self.pose, self.velocity, self.fallen))
 
     @model_validator(mode="after")
     def _begins_once(self) -> Self:
