@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Self
 
 import jax
@@ -345,7 +346,7 @@ class TaskEnv(MujocoEnv):
                 name: weight * term.measure(step)
                 for name, weight, term in zip(self._names, self._weights, self._rewards, strict=True)
             },
-            done=jnp.max(jnp.stack(ended)) if ended else jnp.zeros(()),
+            done=reduce(jnp.maximum, ended, jnp.zeros(())),
             metrics={name: value for term in self._metrics for name, value in term.measure(step).items()}
             | ({} if self._grid is None else self._grid.metrics(info)),
             info={**info, **remembered},

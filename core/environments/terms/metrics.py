@@ -36,8 +36,7 @@ class Travel(OfBody, Term):
     def measure(self, step: "Step", model: "ModelIndex") -> Mapping[str, Array]:
         """[] each."""
         body = model.body(self.body)
-        before, after = (model.place(physics, body, self.of) for physics in (step.before, step.after))
-        velocity = (after - before) / step.dt
+        after, velocity = model.place(step.after, body, self.of), model.velocity(step, body, self.of)
         all_of_them = {
             "x_position": after[0],
             "y_position": after[1],

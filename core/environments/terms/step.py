@@ -171,9 +171,12 @@ class ModelIndex:
         """Where the body, or its subtree's centre of mass, is, [3] in m."""
         return self.position(physics, body) if of == "body" else physics.derived["subtree_com"][body]
 
-    def velocity(self, step: Step, body: int) -> Array:
+    def velocity(self, step: Step, body: int, of: Literal["body", "centre_of_mass"] = "body") -> Array:
         """(p' − p) / dt [3] in m/s, along the world's axes."""
-        return (self.position(step.after, body) - self.position(step.before, body)) / step.dt
+        slides = slides_of(self.model, body) if of == "body" else None
+        if slides is not None:
+            return slides.velocity(step.before.qpos, step.after.qpos, step.dt)
+        return (self.place(step.after, body, of) - self.place(step.before, body, of)) / step.dt
 
     def visible_positions(self, num_hidden: int, without: Sequence[str] | None = None) -> np.ndarray:
         """Places in qpos, without the first `num_hidden` of the root's free joint if it has one, and without
