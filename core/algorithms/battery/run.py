@@ -27,8 +27,8 @@ from core.algorithms.trained_policy import TrainedPolicy
 from core.environments.environment import State, Wrapped
 from core.environments.patterns import matching_in_turn
 from core.environments.task import TaskEnv
-from core.environments.terms.actions import JointPositionAction
-from core.environments.terms.binding import servo_targets
+from core.environments.terms.actions import JointAction, JointPositionAction
+from core.environments.terms.actuation import actuation
 from core.environments.terms.commands import VelocityCommand
 from core.environments.terms.task import TaskOptions
 from core.physics.engine import NOMINAL, ModelFields
@@ -74,10 +74,8 @@ def run_battery(
         environment = make(battery_options(options, spec))
         legs = leg_joints(environment.model, environment.tracked_body, options.feet)
         settled, end = round(SETTLING_S / environment.dt), round(spec.seconds / environment.dt)
-        scale = None
-        if isinstance(options.action, JointPositionAction):
-            _, scale = servo_targets(options.action, environment.model, environment.model.qpos0)
-        battery = _Battery(environment, policy, _Meter(environment, legs, scale), settled, end)
+        meter = _Meter(environment, legs, *_acted_on(options, environment.model))
+        battery = _Battery(environment, policy, meter, settled, end)
         sums = battery.run(commands, spec.starts, seed, is_stopped)
     if sums is None:
         return None
@@ -116,6 +114,15 @@ def leg_joints(model: mujoco.MjModel, root: int, feet: list[str]) -> list[int]:
     return [joint for joint in driven if int(model.jnt_bodyid[joint]) in bodies]
 
 
+def _acted_on(options: TaskOptions, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """The actuators [actions] of a policy's actions, and how far an action of 1 moves each one's target."""
+    if isinstance(options.action, JointAction):
+        found = actuation(options.action, model, model.qpos0)
+        is_target = isinstance(options.action, JointPositionAction)
+        return found.actuators, found.gain[found.actuators] if is_target else np.full(model.nu, np.nan)
+    return np.arange(model.nu), np.full(model.nu, np.nan)
+
+
 @dataclass(frozen=True)
 class _Commanded(Wrapped):
     """Episodes have this command [3], which may be traced, from their reset on."""
@@ -132,12 +139,13 @@ class _Commanded(Wrapped):
 
 @dataclass(frozen=True)
 class _Meter:
-    """Measures the steps of one episode. legs: numbers of the joints. scale: [nu], what an action of 1 adds
-    to the servos' targets; None where the actuators have none."""
+    """Measures the steps of one episode. legs: numbers of the joints. actuators: [actions], those that are
+    acted on. scale: [actions], what an action of 1 adds to a servo's target; NaN where it has none."""
 
     environment: TaskEnv
     legs: list[int]
-    scale: np.ndarray | None
+    actuators: np.ndarray
+    scale: np.ndarray
 
     def zeros(self) -> dict[str, jax.Array]:
         """fell: 1 if it did. steps: those counted. The others are sums over these."""
@@ -147,9 +155,9 @@ class _Meter:
         """Of one step, []; squares of the quantities of smoothness, means over the joints."""
         model, qvel = self.environment.model, state.physics.qvel
         root = int(model.jnt_dofadr[model.body_jntadr[self.environment.tracked_body]])
-        acting = np.array([np.flatnonzero(model.actuator_trnid[:, 0] == joint)[0] for joint in self.legs])
-        change = (action - previous)[acting]
-        scale = np.full(len(acting), np.nan) if self.scale is None else self.scale[acting]
+        of_legs = np.flatnonzero(np.isin(model.actuator_trnid[self.actuators, 0], self.legs))
+        change = (action - previous)[of_legs]
+        scale = self.scale[of_legs]
         return {
             "steps": jnp.ones(()),
             "linear_tracking": jnp.exp(-((state.metrics["velocity_error"] / TOLERANCE) ** 2)),

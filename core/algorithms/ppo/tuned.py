@@ -324,7 +324,7 @@ def _joystick(steps: int, steps_on_a_cpu: int) -> Mapping[Device, PPOSpec]:
 
 
 G1 = _joystick(24_000_000, 10_000_000)
-GO1 = _joystick(12_000_000, 4_000_000)
+GO1 = _joystick(12_000_000, 3_000_000)
 
 
 def own_model(options: MjcfOptions) -> Mapping[Device, PPOSpec]:
