@@ -22,7 +22,7 @@ from gaitway.concurrency import async_run, async_sleep
 from gaitway.errors import ApiError, DownloadFailed, NotFound, Unavailable, Unreachable
 from gaitway.schema import ArtifactView, JobView
 
-_ENDINGS = {"numpy": "npz", "onnx": "onnx"}
+_ENDINGS = {"numpy": "npz", "onnx": "onnx", "robot": "robot.onnx"}
 
 
 class AsyncDownloads(AsyncConnection):
@@ -240,7 +240,7 @@ class AsyncFiles(AsyncJobs, AsyncCatalog, AsyncDownloads):
     async def export_policy(
         self,
         job_id: str,
-        format: Literal["numpy", "onnx"],
+        format: Literal["numpy", "onnx", "robot"],
         path: str | Path | None = None,
         *,
         best: bool = False,
@@ -249,8 +249,9 @@ class AsyncFiles(AsyncJobs, AsyncCatalog, AsyncDownloads):
     ) -> Path:
         """Download the final policy for programs without this package, to `path` (docs/export.md).
 
-        format: `numpy`, `policy.npz`, which `gaitway.exported_policy` reads with NumPy alone; or `onnx`,
-        `policy.onnx` for any ONNX runtime. best: the policy whose evaluation had the highest return, instead:
+        format: `numpy`, `policy.npz`, which `gaitway.exported_policy` reads with NumPy alone; `onnx`,
+        `policy.onnx` for any ONNX runtime; or `robot`, `policy.robot.onnx` from what a robot measures to its
+        joints' targets. best: the policy whose evaluation had the highest return, instead:
         `policy-best.npz` or `policy-best.onnx`. seed: whose, of several, by default the first's:
         `policy-seed-<n>.npz`. Raises NotReady until the job has ended (the artifact `policy.npz` is the
         newest checkpoint's until then), and Rejected for the tables of Q-learning.
