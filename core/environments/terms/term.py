@@ -98,12 +98,14 @@ class Term(Strict):
 
 
 class RewardTerm(Term):
-    """weight: multiplies the term. name: its metric is `reward_<name>`; null: its kind."""
+    """A part of the reward."""
 
     sign: ClassVar[float] = 1.0
 
-    weight: Weight = 1.0
-    name: Annotated[str, Field(pattern=r"^[a-z0-9_]{1,60}$")] | None = None
+    weight: Weight = Field(default=1.0, description="Multiplies the term.")
+    name: Annotated[str, Field(pattern=r"^[a-z0-9_]{1,60}$")] | None = Field(
+        default=None, description="The metric is `reward_<name>`; null: its kind."
+    )
 
 
 class CostTerm(RewardTerm):
