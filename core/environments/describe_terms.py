@@ -17,15 +17,16 @@ from core.environments.terms.term import CostTerm, RewardTerm
 PAGE = Path(__file__).parents[2] / "docs" / "tasks.md"
 _BEGINNING = """# Tasks: every term
 
-<!-- `python -m core.environments.describe_terms` makes this page from the classes in core/environments/terms. -->
+<!-- `python -m core.environments.describe_terms` makes this page from the classes of terms. -->
 
-A task is a list of terms in the job's `environment.options`. [`mjcf`](environments/mjcf.md) says how they work together for a model of your
-own, [`g1` and `go1`](environments/robots.md) are tasks to begin with, and `GET /openapi.json` has every bound. `q` are positions, `v` and `q̇`
-velocities, `g` the direction of gravity in the root's frame, `c` the command, `φ` a foot's phase, `dt` a control step. Joints, bodies and feet
-are named by patterns: names, or regular expressions that match whole names. Numbers in brackets are defaults.
+A task is a list of terms in the job's `environment.options`. [`mjcf`](environments/mjcf.md) says how they work
+together for a model of your own, [`g1` and `go1`](environments/robots.md) are tasks to begin with, and
+`GET /openapi.json` has every bound. `q` are positions, `v` and `q̇` velocities, `g` the direction of gravity in
+the root's frame, `c` the command, `φ` a foot's phase, `dt` a control step. Joints, bodies and feet are named by
+patterns: names, or regular expressions that match whole names. Numbers in brackets are defaults.
 """
 _SHARED: dict[type[BaseModel], str] = {
-    ObservationTerm: "Every observation has these; noise and bias come first, then scale, clip, delay and history:",
+    ObservationTerm: "Every observation has these; noise and bias, then scale, clip, delay and history:",
     RewardTerm: "Every reward has these, and costs are subtracted:",
 }
 # Options that are one thing and not terms, and are described where they are used.
