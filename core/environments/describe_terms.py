@@ -19,11 +19,12 @@ _BEGINNING = """# Tasks: every term
 
 <!-- `python -m core.environments.describe_terms` makes this page from the classes of terms. -->
 
-A task is a list of terms in the job's `environment.options`. [`mjcf`](environments/mjcf.md) says how they work
-together for a model of your own, [`g1` and `go1`](environments/robots.md) are tasks to begin with, and
-`GET /openapi.json` has every bound. `q` are positions, `v` and `q̇` velocities, `g` the direction of gravity in
-the root's frame, `c` the command, `φ` a foot's phase, `dt` a control step. Joints, bodies and feet are named by
-patterns: names, or regular expressions that match whole names. Numbers in brackets are defaults.
+A task is a list of terms in the job's `environment.options`. [`mjcf`](environments/mjcf.md) says how
+they work together for a model of your own, [`g1` and `go1`](environments/robots.md) are tasks to begin
+with, and `GET /openapi.json` has every bound. `q` are positions, `v` and `q̇` velocities, `g` the
+direction of gravity in the root's frame, `c` the command, `φ` a foot's phase, `dt` a control step.
+Joints, bodies and feet are named by patterns: names, or regular expressions that match whole names.
+Numbers in brackets are defaults.
 """
 _SHARED: dict[type[BaseModel], str] = {
     ObservationTerm: "Every observation has these; noise and bias, then scale, clip, delay and history:",
