@@ -378,7 +378,7 @@ def test_a_policy_is_exported_by_client_and_cli(stack: Stack, client: Client, tm
     target = tmp_path / "walk.npz"
     done = gaitway(stack, "export", "last", "--format", "numpy", "-o", str(target))
     assert (done.exit_code, target.read_bytes()) == (0, b"policy.npz")
-    with pytest.raises(Rejected, match="'numpy' or 'onnx'"):
+    with pytest.raises(Rejected, match="'numpy', 'onnx' or 'robot'"):
         client.export_policy(attempt.id, "tflite", tmp_path)  # pyright: ignore[reportArgumentType]
     assert gaitway(stack, "export", "last", "--format", "tflite").exit_code == 2
 

@@ -161,9 +161,14 @@ def _files(stack: Stack, client: Either, folder: Path) -> None:
     attempt.keep("step-5.ckpt", b"state", role="checkpoint", step=5)
     attempt.keep("video.mp4", step=5)
     attempt.keep("poster.png", b"still", role="poster")
+    attempt.keep("battery.json", b'{"passed": true}', role="battery")
     attempt.end()
     names = {found.name for found in client.artifacts(attempt.id)}
-    assert names == {"policy", "policy.npz", "step-5.ckpt", "video.mp4", "poster.png"}
+    assert names == {"policy", "policy.npz", "step-5.ckpt", "video.mp4", "poster.png", "battery.json"}
+    assert client.battery(attempt.id) == {"passed": True}
+    with pytest.raises(Rejected) as caught:  # Its body follows no commands.
+        client.test_policy(attempt.id)
+    assert [error.pointer for error in caught.value.errors] == ["/battery"]
     assert [found.step for found in client.checkpoints(attempt.id)] == [5]
     assert client.download(attempt.id, "step-5.ckpt", folder).read_bytes() == b"state"
     assert client.video(attempt.id, folder, step=5).read_bytes() == ARTIFACT

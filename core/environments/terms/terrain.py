@@ -55,7 +55,7 @@ class Terrain(Strict):
     Each pair says [easiest, hardest]: what level 0 has, and what level 9 has.
     """
 
-    kinds: Annotated[list[Kind], Field(min_length=1), AfterValidator(_each_once)] = Field(
+    kinds: Annotated[list[Kind], Field(min_length=1, max_length=9), AfterValidator(_each_once)] = Field(
         default=["flat", "stairs_up", "stairs_down", "slope_up", "slope_down", "blocks"],
         description="Kinds of ground; environments have all of them in equal shares.",
     )

@@ -194,6 +194,7 @@ def test_lists_say_whose_jobs_are_and_filter_by_it(lab: Lab, tab: Tab) -> None:
     assert flaws(page) == []
     tab.picture("jobs-of-a-lab")
     page.get_by_label("Project").first.select_option("")
+    expect(jobs).to_have_count(3)
     page.get_by_label("Owner").fill("ann")
     page.get_by_label("Owner").press("Enter")
     expect(jobs).to_have_text(["of ann in a"])
