@@ -18,15 +18,7 @@ LEGEND = (
     "Velocity and turning: means of exp(-e² / 0.25). Root mean squares: the change of the legs' actions, and "
     "of their targets in rad; the torso's roll and pitch, its yaw, and the legs' joints, in rad/s."
 )
-_MEASURED = (
-    "linear_tracking",
-    "angular_tracking",
-    "action_change",
-    "target_change",
-    "torso_rate",
-    "yaw_rate",
-    "leg_velocity",
-)
+_MEASURED = tuple(name for name in _NAMES if name != "falls")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 `core.environments.tracing` makes one of a JAX function; the page's JavaScript evaluates it (docs/push.md);
 an exporter may write it as a graph. Every number of an input, every constant and every result has a cell.
-What only moves numbers (slices, reshapes, constant indices) is done while a function is traced, so that
+Slices, reshapes and constant indices only move numbers, and are done while a function is traced, so that
 operations know no shapes.
 """
 

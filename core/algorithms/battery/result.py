@@ -1,4 +1,4 @@
-"""What a battery found; no numerical code."""
+"""The result of a battery; no numerical code."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ SMOOTHNESS: tuple[Quantity, ...] = (
 
 
 class CommandResult(Stored):
-    """What happened under one command. command: forward and left in m/s, turn in rad/s.
+    """The episodes under one command. command: forward and left in m/s, turn in rad/s.
 
     linear_tracking, angular_tracking: means of exp(−e² / 0.25) over all episodes after they have settled;
     after a fall, 0. The others are root mean squares over the same steps, while the body is up: of the

@@ -152,7 +152,7 @@ class _Meter:
         return dict.fromkeys(("fell", "steps", *_TRACKING, *SMOOTHNESS), jnp.zeros(()))
 
     def measure(self, state: State, action: jax.Array, previous: jax.Array) -> dict[str, jax.Array]:
-        """Of one step, []; squares of the quantities of smoothness, means over the joints."""
+        """A step's quantities, [] each; those of smoothness are squares, means over the joints."""
         model, qvel = self.environment.model, state.physics.qvel
         root = int(model.jnt_dofadr[model.body_jntadr[self.environment.tracked_body]])
         of_legs = np.flatnonzero(np.isin(model.actuator_trnid[self.actuators, 0], self.legs))

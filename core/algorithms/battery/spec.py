@@ -1,4 +1,4 @@
-"""What a battery is: a test of a trained policy that follows velocity commands; no numerical code."""
+"""A battery: a test of a trained policy that follows velocity commands; no numerical code."""
 
 from collections.abc import Sequence
 from typing import Annotated, cast
@@ -27,13 +27,13 @@ SETTLING_S = 1.5
 # Tracking is exp(−e² / TOLERANCE²), e in m/s or rad/s.
 TOLERANCE = 0.5
 
-# Of a quantity that is positive.
+# The bound of a quantity that is positive.
 Bound = Annotated[float, Field(gt=0, le=1000)]
 Command = tuple[float, float, float]
 
 
 class Bounds(Strict):
-    """What a policy must hold to pass; null: it is measured, and not judged."""
+    """The bounds that a policy must hold to pass; null: the quantity is measured, and not judged."""
 
     falls: float = Field(default=0.01, ge=0, le=1, description="At most this share of the episodes falls.")
     tracking: float = Field(

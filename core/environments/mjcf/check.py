@@ -310,7 +310,7 @@ def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
 
 
 def _of_critic(options: TaskOptions, model: ModelParts) -> Iterator[Problem]:
-    """What the policy sees and the critic does not: by such a critic the policy could not be judged."""
+    """The numbers that the policy sees and the critic does not: such a critic could not judge the policy."""
     if options.critic is None:
         return
     seen = {part for term in options.critic for part in _numbers(term.slices(model))}

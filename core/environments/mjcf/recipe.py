@@ -21,7 +21,7 @@ from core.errors import JobFailed
 
 # s. Larger ones make contacts soft; smaller ones cost time.
 _TIMESTEP_S = 0.005
-# Of a robot's height: feet begin at most so much above the lowest one; a foot's geoms, above its own lowest.
+# Shares of a robot's height: of feet above the lowest one, and of a foot's geoms above its own lowest.
 _STANDS, _SOLE = 0.06, 0.02
 _MOST_FEET = 8
 # A front leg differs so much from a hind leg, and an arm from a leg more.
@@ -30,10 +30,11 @@ _GRAVITY = 9.81
 # The cosine between an axis and another that it follows.
 _ALONG = 0.7
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
-# Of the frequency of a pendulum as long as the legs: a Go1 of 0.28 m steps at 2 Hz, a G1 of 0.76 m at 1.4 Hz.
+# Times the frequency of a pendulum as long as the legs: a Go1 of 0.28 m steps at 2 Hz, a G1 of 0.76 m at
+# 1.4 Hz.
 _STEPS_PER_SWING = 2.3
 _SWING, _LEAST_SWING_M, _MOST_SWING_M = 0.25, 0.04, 0.1
-# Of m g h per rad: what carries half of a robot bends by a tenth of a rad or two.
+# In units of m g h per rad: a joint that carries half of a robot bends by a tenth of a rad or two.
 _STIFFNESS = 1.0
 
 
@@ -162,7 +163,7 @@ def _feet(model: mujoco.MjModel) -> tuple[list[_Standing], list[str]]:
 
 
 def _limb(model: mujoco.MjModel, body: int, root: int) -> tuple[float, float, float]:
-    """Of the limb that ends with the body: its joints, its length in m along its bodies, its mass in kg."""
+    """The limb that ends with the body: its joints, its length in m along its bodies, its mass in kg."""
     num_joints, length, first = 0.0, 0.0, _first_of(model, body, root)
     while body != first:
         num_joints += float(model.body_jntnum[body])

@@ -13,11 +13,20 @@ from core.environments.terms.term import Interval
 _NONE = (0.0, 0.0)
 
 
-class PoseRange(Strict):
-    """How the root begins, from where it is in the pose: moved along the world's axes, and turned about them,
-    by roll first and by yaw last. Each is uniform in [lowest, highest]."""
+class _RootRange(Strict):
+    """A range for each of the root's six freedoms."""
 
     num_random: ClassVar[int] = 6
+
+    @property
+    def ranges(self) -> list[tuple[float, float]]:
+        """[6, 2]"""
+        return [getattr(self, name) for name in ("x", "y", "z", "roll", "pitch", "yaw")]
+
+
+class PoseRange(_RootRange):
+    """How the root begins, from where it is in the pose: moved along the world's axes, and turned about them,
+    by roll first and by yaw last. Each is uniform in [lowest, highest]."""
 
     x: Interval = Field(default=_NONE, description="In m.")
     y: Interval = Field(default=_NONE, description="In m.")
@@ -26,16 +35,9 @@ class PoseRange(Strict):
     pitch: Interval = Field(default=_NONE, description="In rad about the world's y.")
     yaw: Interval = Field(default=_NONE, description="In rad about the world's z.")
 
-    @property
-    def ranges(self) -> list[tuple[float, float]]:
-        """[6, 2]"""
-        return [self.x, self.y, self.z, self.roll, self.pitch, self.yaw]
 
-
-class VelocityRange(Strict):
+class VelocityRange(_RootRange):
     """What is added to the root's velocity at the start. Each is uniform in [lowest, highest]."""
-
-    num_random: ClassVar[int] = 6
 
     x: Interval = Field(default=_NONE, description="In m/s along the world's x.")
     y: Interval = Field(default=_NONE, description="In m/s along the world's y.")
@@ -43,11 +45,6 @@ class VelocityRange(Strict):
     roll: Interval = Field(default=_NONE, description="In rad/s about the root's x.")
     pitch: Interval = Field(default=_NONE, description="In rad/s about the root's y.")
     yaw: Interval = Field(default=_NONE, description="In rad/s about the root's z.")
-
-    @property
-    def ranges(self) -> list[tuple[float, float]]:
-        """[6, 2]"""
-        return [self.x, self.y, self.z, self.roll, self.pitch, self.yaw]
 
 
 class Fallen(Strict):
