@@ -11,7 +11,7 @@ import pytest
 from core.accounts.principal import Ownership, Role, TokenScope
 from core.accounts.provider import Grant
 from core.accounts.store import Actor, AuditEntry, PageSession, Token, User
-from core.accounts.tokens import MAX_TOKENS, SESSION, Secret, new_secret, parse
+from core.accounts.tokens import MAX_TOKENS, SESSION, TOKEN, Secret, new_secret, parse
 from core.adapters.postgres import listing
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import (
@@ -65,7 +65,7 @@ def test_a_token_is_found_by_its_id_with_its_user_and_only_its_hash_is_stored(
     assert parse(secret.text[:-1]) is None
     with psycopg.connect(database_url) as connection:
         stored = str(connection.execute("SELECT * FROM tokens").fetchall())
-    assert secret.text.rpartition("_")[2] not in stored
+    assert secret.text.removeprefix(f"{TOKEN}_{secret.id}_") not in stored
     assert job_store.find_token("0" * 12) is None
 
 

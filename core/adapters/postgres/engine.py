@@ -48,6 +48,21 @@ class PromptConnection(psycopg.Connection[Any]):
             raise NoAnswer(f"no answer within {self.deadline_s:g} s") from error
 
 
+class _Pool(QueuePool):
+    """It also closes what comes back after `dispose`: a thread may still have been in a call."""
+
+    _is_disposed = False
+
+    def dispose(self) -> None:
+        self._is_disposed = True
+        super().dispose()
+
+    def _do_return_conn(self, record: ConnectionPoolEntry) -> None:
+        super()._do_return_conn(record)
+        if self._is_disposed:
+            super().dispose()
+
+
 def connect_postgres(url: str, *, pool_size: int = 10) -> Engine:
     """An engine for a postgresql:// address; it connects at its first call.
 
@@ -69,7 +84,7 @@ def connect_postgres(url: str, *, pool_size: int = 10) -> Engine:
     engine = create_engine(
         "postgresql+psycopg://",
         creator=connect,
-        poolclass=QueuePool,
+        poolclass=_Pool,
         pool_size=pool_size,
         max_overflow=2 * pool_size,
         pool_timeout=DEADLINE_S,

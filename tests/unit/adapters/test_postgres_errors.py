@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 from urllib.parse import quote
 
 import psycopg
@@ -207,6 +208,13 @@ class TestTables:
     def test_a_statement_that_takes_too_long_is_ended_by_the_server(self, server: Server) -> None:
         assert DEADLINE_S > 1.8
         unavailable(r"took longer than 1\.8 s; it is overloaded", server.url, run("SELECT pg_sleep(5)"))
+
+    def test_a_connection_in_use_at_the_close_is_closed_when_it_comes_back(self, server: Server) -> None:
+        engine = connect_postgres(server.url)
+        with engine.connect() as connection:
+            driver = cast("PromptConnection", connection.connection.driver_connection)
+            engine.dispose()
+        assert driver.closed
 
     def test_our_own_mistakes_pass_through(self, server: Server) -> None:
         with pytest.raises(DBAPIError, match="syntax error"):
