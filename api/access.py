@@ -81,6 +81,7 @@ ROUTES: Mapping[str, Access] = {
     # It tells of all projects; Prometheus has no need of a token that may change anything.
     "GET /metrics": Access(user=Role.ADMIN),
     "POST /jobs": _submits("job.submitted"),
+    "POST /jobs/check": Access(Role.SUBMITTER),
     "POST /jobs/import": _submits("job.imported"),
     "GET /jobs": _READ,
     "GET /jobs/{job_id}": _READ,

@@ -28,10 +28,11 @@ from core.errors import (
 )
 from core.jobs.ending import cancel, delete
 from core.jobs.job import JOB_ID, Job, UnreadableJob
+from core.jobs.resolved import filled_in
 from core.jobs.spec import JobKind, Text
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery
-from core.jobs.submission import submit
+from core.jobs.submission import new_job, submit
 from core.jobs.workers import WorkerInfo
 from gaitway.schema import JobView
 
@@ -116,6 +117,21 @@ def submit_job(
         correlation_id=correlation_id,
     )
     return answer(job_view(job), 202, {"Location": f"/jobs/{job.id}"})
+
+
+@router.post(
+    "/jobs/check",
+    openapi_extra=_BODY,
+    response_description="It would be queued as this specification",
+    responses=refusals(MalformedBody, BodyTooLarge, UnsupportedMediaType, Rejected, RecordsUnavailable),
+)
+def check_job(spec: Submitted, service: ServiceDep, principal: PrincipalDep) -> dict[str, Any]:
+    """Refuse what a submission would be refused for, and store nothing.
+
+    Otherwise the specification with all that defaults fill in, which can be submitted.
+    """
+    ownership = ownership_of_new(principal, spec.project, service)
+    return filled_in(new_job(spec, service.store, ownership, principal.readable), service.store)
 
 
 @router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))

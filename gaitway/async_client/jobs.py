@@ -55,6 +55,11 @@ class AsyncJobs(AsyncFollowing):
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
         return await self._post("/jobs", AsyncJob, json=document, headers=headers)
 
+    async def check(self, spec: Mapping[str, Any] | None = None, **fields: Any) -> dict[str, Any]:
+        """What `submit` would queue, with all defaults filled in; it raises the same, and stores nothing."""
+        document = {"kind": "train", **(spec or {}), **fields}
+        return (await self._request("POST", "/jobs/check", json=document)).json()
+
     async def get(self, job_id: str) -> AsyncJob:
         """The job as it is now."""
         return await self._get(await self._job_path(job_id), AsyncJob)

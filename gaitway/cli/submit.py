@@ -98,6 +98,9 @@ def submit(  # noqa: PLR0913 # A command line's options.
     assignments: Assignments = None,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Stay and show the progress.")] = False,
     as_json: AsJson = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Queue nothing: check the job, and print it with its defaults.")
+    ] = False,
 ) -> None:
     """Queue a training (or, from a file, a rollout)."""
     spec = read(file) if file else {}
@@ -136,6 +139,9 @@ def submit(  # noqa: PLR0913 # A command line's options.
     if isinstance(spec.get("environment"), dict):
         chosen = cast("dict[str, Any]", spec["environment"])
         name_to_model(client, chosen.get("options"))
+    if dry_run:
+        print_json(client.check(spec))
+        return
     follow(client, client.submit(spec), watch=watch, as_json=as_json)
 
 

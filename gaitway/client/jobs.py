@@ -56,6 +56,11 @@ class Jobs(Following):
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
         return self._post("/jobs", Job, json=document, headers=headers)
 
+    def check(self, spec: Mapping[str, Any] | None = None, **fields: Any) -> dict[str, Any]:
+        """What `submit` would queue, with all defaults filled in; it raises the same, and stores nothing."""
+        document = {"kind": "train", **(spec or {}), **fields}
+        return (self._request("POST", "/jobs/check", json=document)).json()
+
     def get(self, job_id: str) -> Job:
         """The job as it is now."""
         return self._get(self._job_path(job_id), Job)

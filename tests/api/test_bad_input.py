@@ -299,6 +299,17 @@ def test_a_wrong_value_is_refused_with_its_place(stack: Stack, body: Any, pointe
     assert words in next(place["detail"] for place in document["errors"] if place["pointer"] == pointer)
 
 
+def test_a_check_refuses_what_a_submission_would_be_refused_for(stack: Stack) -> None:
+    for wrong in (MINIMAL | {"seed": -1}, go1(reward=[{"kind": "alive", "name": "A"}]), corridor(walker=1)):
+        refused, checked = (stack.http.post(path, json=wrong) for path in ("/jobs", "/jobs/check"))
+        assert problem(checked, 422, "invalid-request")["errors"] == refused.json()["errors"]
+    accepted = stack.http.post("/jobs/check", json=MINIMAL)
+    assert accepted.status_code == 200
+    assert accepted.json()["environment"]["options"]["healthy_reward"] == 1.0
+    again = stack.http.post("/jobs/check", json=accepted.json())
+    assert again.json() == accepted.json()
+
+
 @pytest.mark.parametrize(
     ("word", "shown"),
     [("NaN", "NaN"), ("Infinity", "Infinity"), ("-Infinity", "-Infinity"), ("1e999", "Infinity")],

@@ -94,6 +94,8 @@ def test_a_rollout_of_a_job_takes_its_environment_and_the_first_hour_has_its_com
 
 def test_a_file_is_sent_by_f_and_an_option_has_the_same_name_for_submit_and_preview(stack: Stack) -> None:
     assert "gaitway submit -f x.json" in gaitway(stack, "submit", "x.json").output
+    tried = gaitway(stack, "submit", "ant", "--set", "seed=3", "--dry-run")
+    assert (json.loads(tried.stdout)["seed"], stack.is_empty()) == (3, True)
     sent = gaitway(stack, "submit", "ant", "--set", "healthy_reward=0.5", "--set", "seed=3")
     spec = stack.http.get(f"/jobs/{sent.stdout.strip()}").json()["spec"]
     assert (spec["environment"]["options"], spec["seed"]) == ({"healthy_reward": 0.5}, 3)

@@ -107,6 +107,7 @@ def _jobs(client: Either) -> None:
     assert [found.id for found in client.list(labels={"project": "a b=c"}, limit=1)] == [first.id]
     assert client.page(limit=1).next is not None
     assert client.specification(first.id)["algorithm"]["learning_rate"] > 0
+    assert client.check({"environment": "ant"}, seed=3) == client.specification(second.id)
     assert client.cancel(first.id).status == "cancelled"
     client.delete(first.id)
     with pytest.raises(NotFound):
