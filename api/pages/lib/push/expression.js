@@ -20,8 +20,8 @@ const OPERATIONS = {
   le: (a, b) => truth(a <= b),
   log: Math.log,
   lt: (a, b) => truth(a < b),
-  max: (a, b) => Math.max(a, b),
-  min: (a, b) => Math.min(a, b),
+  max: Math.max,
+  min: Math.min,
   mul: (a, b) => a * b,
   ne: (a, b) => truth(a !== b),
   neg: (a) => -a,
@@ -69,7 +69,9 @@ export function readExpression({ inputs, constants, operations, outputs }) {
           let value = cells[first[i * each]];
           for (let k = 1; k < each; k++) value = reduce(value, cells[first[i * each + k]]);
           cells[next++] = value;
-        } else cells[next++] = act(cells[first[i]], second && cells[second[i]], third && cells[third[i]]);
+        } else if (third) cells[next++] = act(cells[first[i]], cells[second[i]], cells[third[i]]);
+        else if (second) cells[next++] = act(cells[first[i]], cells[second[i]]);
+        else cells[next++] = act(cells[first[i]]);
       }
     }
     return Object.fromEntries(Object.entries(outputs).map(([name, places]) => [name, places.map((place) => cells[place])]));

@@ -1,6 +1,5 @@
 /** A body under its policy, stepped by MuJoCo as `simulation.json` says (docs/push.md). Uses nothing of the page. */
 
-import { OlderTask } from "./older_task.js";
 import { Task } from "./task.js";
 
 // Of the spring that pulls a body, as in MuJoCo's own viewer: for each kg that the body has where it is held.
@@ -14,6 +13,7 @@ export class Simulation {
   /** @param {object} mujoco The loaded module. @param {object} recipe `simulation.json`. Raises Error if MuJoCo cannot read the model. */
   constructor(mujoco, recipe, policy) {
     if (recipe.format !== "gaitway-simulation" || recipe.version > 2) throw new Error("This file is not a simulation that the page knows.");
+    if (recipe.version < 2) throw new Error("An older version of the service wrote this simulation: train the job again to push its body.");
     this.mujoco = mujoco;
     this.recipe = recipe;
     this.setPolicy(policy);
@@ -21,7 +21,7 @@ export class Simulation {
     this.data = new mujoco.MjData(this.model);
     this.mass = this.model.body_mass.reduce((sum, mass) => sum + mass, 0);
     this.weight = this.mass * Math.hypot(...this.model.opt.gravity);
-    this.task = recipe.version === 1 ? new OlderTask(recipe, this.data, this.model) : new Task(recipe, this.data);
+    this.task = new Task(recipe, this.data);
     this.command = (recipe.command || []).map(() => 0);
     this.reset();
   }
