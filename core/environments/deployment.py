@@ -132,7 +132,7 @@ def deployment(
 
 def _seen(term: ObservationTerm, index: ModelIndex, parts: ModelParts) -> SeenTerm:
     return SeenTerm(
-        kind=str(getattr(term, "kind", "")),
+        kind=term.label,
         size=sum(part.size for part in term.slices(parts)),
         scale=term.scale,
         clip=term.clip,

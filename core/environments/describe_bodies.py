@@ -3,73 +3,41 @@
 import json
 from typing import Any
 
-import mujoco
-
-from core.environments.bodies import TABLE
-from core.environments.catalog import BUILT_IN, make, resolve
+from core.environments.catalog import BUILT_IN
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
-from core.environments.dm_control.corridor.walkers import WALKERS
-from core.environments.mjcf.model import compiled
+from core.environments.dm_control.corridor.walkers import WALKERS, Walker
 from core.environments.page_env import parts_of
-from core.environments.robots.info import ROBOTS
-from core.environments.robots.info import TABLE as ROBOTS_TABLE
-from core.environments.robots.model import spec
 from core.environments.terms.describe import inventory
-from core.environments.terms.inventory import Inventory
-from core.environments.terms.page import TABLE as PAGES_TABLE
-from core.physics.choose import engine_builder
+from core.environments.terms.inventory import TABLE, Inventory
+from core.physics.model import brax_model
 
 
 def table() -> dict[str, Any]:
-    """The parts of each body that is no page."""
-    found = {"reacher": described(_model("reacher"))}
-    for name, walker in WALKERS.items():
-        # Its environment would look for its body in the table.
-        parts = described(corridor_model(CorridorOptions.model_validate({"walker": name})))
-        trunk = parts["bodies"].index(walker.trunk)
-        found[f"corridor/{name}"] = {**parts, "bodies": parts["bodies"][trunk : trunk + walker.num_bodies]}
-    return found
-
-
-def described(model: mujoco.MjModel) -> dict[str, Any]:
-    """The parts of one model, as `core.environments.bodies.Body` has them."""
-    parts = inventory(model)
-    return {
-        "joints": {joint.name: joint.type for joint in parts.joints},
-        "controls": {
-            actuator.name or _joint_of(model, number): actuator.control_range
-            for number, actuator in enumerate(parts.actuators)
-        },
-        "bodies": [name for name in parts.bodies if name != "world"],
-    }
-
-
-def _joint_of(model: mujoco.MjModel, actuator: int) -> str:
-    return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
-
-
-def _model(environment: str) -> mujoco.MjModel:
-    return make(*resolve(environment, {}), engine_builder("native")).model
+    """The inventory of each body, without what nothing of the catalog reads."""
+    return {**pages(), **{f"corridor/{name}": walker(name) for name in WALKERS}}
 
 
 def pages() -> dict[str, Any]:
-    """The inventory of each page's model, without what no term of a page reads."""
-    rows = (info for info in BUILT_IN.values() if "model" in info.arguments)
+    """Those of bodies that are pages, and the reacher's."""
+    rows = [info for info in BUILT_IN.values() if "model" in info.arguments]
     models = {info.id: parts_of(info.id, info.arguments["model"], info.options()) for info in rows}
-    return {name: _as_json(parts, {"colliders", "fixed_geoms"}) for name, parts in models.items()}
+    found = {info.id: _as_json(models[info.id], names_geoms=info.check is not None) for info in rows}
+    return {**found, "reacher": _as_json(inventory(brax_model("reacher")))}
 
 
-def robots() -> dict[str, Any]:
-    """The inventory of each robot's model as it is trained."""
-    return {name: _as_json(inventory(compiled(spec(robot)))) for name, robot in ROBOTS.items()}
+def walker(name: Walker) -> dict[str, Any]:
+    """That of a walker in a corridor, which comes after its arena."""
+    parts = inventory(corridor_model(CorridorOptions.model_validate({"walker": name, "arena": "empty"})))
+    carried = parts.bodies[parts.bodies.index(WALKERS[name].trunk) :]
+    return _as_json(parts.model_copy(update={"bodies": carried, "geoms": []}))
 
 
-def _as_json(parts: Inventory, without: set[str] | None = None) -> dict[str, Any]:
+def _as_json(parts: Inventory, *, names_geoms: bool = False) -> dict[str, Any]:
+    """names_geoms: with the geoms that a job's own terms may name."""
+    without = None if names_geoms else {"colliders", "fixed_geoms"}
     return parts.model_dump(mode="json", exclude_defaults=True, exclude=without)
 
 
 if __name__ == "__main__":
     TABLE.write_text(json.dumps(table(), indent=1) + "\n")
-    PAGES_TABLE.write_text(json.dumps(pages(), indent=1) + "\n")
-    ROBOTS_TABLE.write_text(json.dumps(robots(), indent=1) + "\n")

@@ -8,6 +8,7 @@ import mujoco
 
 from core.documents import Strict
 from core.environments.task import TaskEnv, TaskSettings
+from core.environments.task_model import compiled, stepped_model
 from core.environments.terms.describe import inventory
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.task import TaskOptions
@@ -25,14 +26,14 @@ def make(
 ) -> TaskEnv:
     """The page's task under these options. model: see `terms.page.page`. reports: fields of TaskSettings."""
     spec, solver = _loaded(body, model, options)
-    compiled = spec.compile()
-    settings = TaskSettings(solver, **reports)
-    return TaskEnv(task(options), inventory(compiled), spec, compiled, build_engine, settings)
+    parts, terms = inventory(compiled(spec)), task(options)
+    stepped = stepped_model(spec, terms, parts)
+    return TaskEnv(terms, parts, spec, stepped, build_engine, TaskSettings(solver, **reports))
 
 
 def parts_of(body: str, model: str, options: Strict) -> Inventory:
     """The parts of the page's model."""
-    return inventory(_loaded(body, model, options)[0].compile())
+    return inventory(compiled(_loaded(body, model, options)[0]))
 
 
 def _loaded(body: str, model: str, options: Strict) -> tuple[mujoco.MjSpec, SolverSettings | None]:

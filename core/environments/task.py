@@ -82,7 +82,7 @@ class TaskEnv(MujocoEnv):
         build_engine: EngineBuilder,
         settings: TaskSettings | None = None,
     ) -> None:
-        settings = settings or TaskSettings(_solver(options))
+        settings = settings or TaskSettings(solver_settings(options))
         root = model.body(options.root).id if options.root else root_of(model)
         start = _start(model, options)
         self._actuation = None
@@ -365,7 +365,8 @@ class TaskEnv(MujocoEnv):
         return {POLICY_GROUP: seen, CRITIC_GROUP: by_critic}, {**entries, **its_entries}
 
 
-def _solver(options: TaskOptions) -> SolverSettings:
+def solver_settings(options: TaskOptions) -> SolverSettings:
+    """How far engines solve under these options."""
     return SolverSettings(
         options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
     )

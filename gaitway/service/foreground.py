@@ -16,7 +16,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from core.environments.mjcf.model import compiled, read
+from core.environments.mjcf.model import read
+from core.environments.task_model import compiled
 from core.environments.terms.describe import inventory
 from core.errors import Rejected
 from core.jobs.spec import JOB_SPEC, JobSpec, TrainSpec

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 
 from core.environments.mjcf.edits import edits_for_compiled, without_drawings
-from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, is_to_sleep, read
+from core.environments.mjcf.model import SLEEP_IS_OFF, is_to_sleep, read
 from core.environments.mjcf.recipe import NoRecipe, Recipe, recipe
+from core.environments.task_model import compiled
 from core.environments.terms.describe import can_go_forward, inventory, root_of
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.task import LONGEST_STEP_S, SHORTEST_STEP_S

@@ -17,8 +17,9 @@ from core.environments.mjcf.edit_options import (
     floor_name,
     gains,
 )
-from core.environments.mjcf.model import compiled, name_parts
+from core.environments.mjcf.model import name_parts
 from core.environments.patterns import Patterns, matches, matching
+from core.environments.task_model import compiled
 from core.environments.terms.actuation import add_motor
 from core.environments.terms.describe import near_world
 from core.errors import JobFailed

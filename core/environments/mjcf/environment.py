@@ -8,11 +8,11 @@ from core.environments.mjcf.check import problems
 from core.environments.mjcf.edit_options import HOME
 from core.environments.mjcf.edits import edit
 from core.environments.mjcf.info import MjcfOptions
-from core.environments.mjcf.model import compiled, read
+from core.environments.mjcf.model import read
 from core.environments.task import TaskEnv
+from core.environments.task_model import compiled, stepped_model
 from core.environments.terms.describe import inventory
 from core.environments.terms.task import TaskOptions
-from core.environments.terrain.model import add_boxes
 from core.errors import JobFailed, Problem
 from core.physics.engine import EngineBuilder
 from core.reasons import Reason
@@ -33,9 +33,7 @@ def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None =
         parts = inventory(compiled(spec, options.timestep))
         task = _from_the_pose(options)
         _check(problems(task, parts))
-        if options.terrain is not None:
-            add_boxes(spec, compiled(spec), options.terrain)
-        stepped = compiled(spec, options.timestep, task.readings(parts), task.sensors)
+        stepped = stepped_model(spec, task, parts)
         _check(holding.problems(stepped, options.edits, _EDITS))
         return TaskEnv(task, parts, spec, stepped, build_engine)
 

@@ -1,8 +1,8 @@
-"""From a model's file to a compiled model, with sensors that count contacts, the same on every engine."""
+"""From a model's file to a specification whose parts have names."""
 
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -11,8 +11,8 @@ from typing import Any
 import mujoco
 
 from core.environments.mjcf.archive import examine
-from core.environments.terms.added_sensors import add_sensors
-from core.environments.terms.readings import Reading
+from core.environments.task_model import sentence
+from core.environments.terms.describe import JOINT_TYPES
 from core.errors import BadModel, JobFailed
 from core.reasons import Reason
 
@@ -22,12 +22,6 @@ SLEEP_IS_OFF = (
 )
 # A scene of more unnamed parts of a kind leaves the others without names.
 _MOST_NAMED = 1000
-_KINDS = {
-    mujoco.mjtJoint.mjJNT_FREE: "free",
-    mujoco.mjtJoint.mjJNT_BALL: "ball",
-    mujoco.mjtJoint.mjJNT_SLIDE: "slide",
-    mujoco.mjtJoint.mjJNT_HINGE: "hinge",
-}
 
 
 @contextmanager
@@ -46,37 +40,13 @@ def read(file: Path) -> Generator[tuple[mujoco.MjSpec, str]]:
         try:
             spec = mujoco.MjSpec.from_file(str(main))
         except (ValueError, mujoco.FatalError) as error:
-            raise JobFailed(Reason.BAD_MODEL, _sentence(error, folder)) from None
+            raise JobFailed(Reason.BAD_MODEL, sentence(error, folder)) from None
         # Files may reserve gigabytes for contacts; -1 lets MuJoCo allocate what it needs.
         spec.nconmax = spec.njmax = -1
         if archive.is_urdf:
             _add_motors(spec)
         name_parts(spec)
         yield spec, archive.main
-
-
-def compiled(
-    spec: mujoco.MjSpec,
-    timestep: float | None = None,
-    readings: Iterable[Reading] = (),
-    sensors: list[str] | None = None,
-) -> mujoco.MjModel:
-    """The model, with sensors for these readings, and without sleep: no engine carries who sleeps.
-
-    sensors: those of its own to keep, so that an engine need not have the others; None: all.
-    Raises JobFailed("bad_model").
-    """
-    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-    if timestep is not None:
-        spec.option.timestep = timestep
-    for sensor in spec.sensors if sensors is not None else ():
-        if sensor.name not in sensors:
-            spec.delete(sensor)
-    add_sensors(spec, readings)
-    try:
-        return spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise JobFailed(Reason.BAD_MODEL, _sentence(error, spec.modelfiledir)) from None
 
 
 def is_to_sleep(spec: mujoco.MjSpec) -> bool:
@@ -91,7 +61,7 @@ def name_parts(spec: mujoco.MjSpec) -> None:
     """
     parts: list[tuple[Sequence[Any], Callable[[Any], str]]] = [
         (spec.bodies, lambda _: "body"),
-        (spec.joints, lambda joint: f"{joint.parent.name} {_KINDS[joint.type]}"),
+        (spec.joints, lambda joint: f"{joint.parent.name} {JOINT_TYPES[joint.type]}"),
         (spec.geoms, lambda geom: f"{geom.parent.name} geom"),
     ]
     for found, called in parts:
@@ -117,9 +87,3 @@ def _add_motors(spec: mujoco.MjSpec) -> None:
                 ctrllimited=True,
                 ctrlrange=[-1, 1],
             )
-
-
-def _sentence(error: Exception, folder: str) -> str:
-    """MuJoCo's message in one line, without our folder's path."""
-    words = " ".join(str(error).replace(folder, "").split())
-    return f"MuJoCo cannot compile the model: {words[:500]}"

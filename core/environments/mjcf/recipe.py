@@ -14,7 +14,7 @@ import numpy as np
 from core.environments.mjcf import holding
 from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose
 from core.environments.mjcf.edits import edit, without_drawings
-from core.environments.mjcf.model import compiled
+from core.environments.task_model import compiled
 from core.environments.terms.describe import inventory, near_world, root_of, touchable
 from core.environments.terms.inventory import Inventory
 from core.errors import JobFailed

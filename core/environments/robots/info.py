@@ -1,13 +1,10 @@
 """The catalog's rows of robots: tasks of terms, for bodies that come with a package."""
 
-import json
 from collections.abc import Sequence
-from functools import cache, partial
-from pathlib import Path
 
 from pydantic import Field
 
-from core.environments.info import EnvironmentInfo, Spaces
+from core.environments.info import EnvironmentInfo
 from core.environments.mjcf.check import problems
 from core.environments.mjcf.edit_options import HOME
 from core.environments.robots.g1 import G1
@@ -16,7 +13,7 @@ from core.environments.robots.robot import Robot
 from core.environments.terms.actions import AnyAction, JointPositionAction
 from core.environments.terms.commands import AnyCommand, GaitClock, VelocityCommand
 from core.environments.terms.foot_terms import FootSlip, SwingHeight
-from core.environments.terms.inventory import Inventory
+from core.environments.terms.inventory import inventory_of
 from core.environments.terms.locomotion import (
     BaseAngularVelocity,
     BaseLinearVelocity,
@@ -32,6 +29,7 @@ from core.environments.terms.locomotion import (
     VerticalVelocity,
 )
 from core.environments.terms.observations import PreviousAction
+from core.environments.terms.page import page
 from core.environments.terms.rewards import ActionRate, ControlCost, JointLimits
 from core.environments.terms.task import (
     Events,
@@ -41,16 +39,13 @@ from core.environments.terms.task import (
     Rewards,
     TaskOptions,
     Terminations,
-    task_slices,
     varied,
 )
 from core.environments.terms.terminations import NotUpright, OutsideHeightRange
 from core.environments.terms.tracking import Command, TrackAngularVelocity, TrackLinearVelocity
 from core.environments.terms.vocabulary import AnyObservation, AnyReward
-from core.errors import Problem
 from core.physics.availability import Rule
 
-TABLE = Path(__file__).with_name("inventories.json")
 ROBOTS = {robot.name: robot for robot in (G1, GO1)}
 
 _SEEN: list[AnyObservation] = [
@@ -146,32 +141,15 @@ class Go1Options(JoystickOptions):
     )
 
 
-@cache
-def inventory_of(robot: str) -> Inventory:
-    """The parts of the robot's model as it is trained."""
-    return Inventory.model_validate(json.loads(TABLE.read_text())[robot])
-
-
-def _check(options: TaskOptions, robot: str) -> Sequence[Problem]:
-    return problems(options, inventory_of(robot))
-
-
 def _row(robot: Robot, options: type[TaskOptions], description: str) -> EnvironmentInfo:
-    parts = inventory_of(robot.name)
-    return EnvironmentInfo(
-        id=robot.name,
+    return page(
+        robot.name,
+        "core.environments.robots.model:robot",
+        lambda task: task,
+        options,
+        unit_of_action=None,
         description=description,
-        factory="core.environments.robots.environment:make",
-        arguments={"robot": robot.name},
-        observation_size=sum(part.size for part in task_slices(options(), parts).observation),
-        action_size=parts.sizes.nu,
-        dt=0.02,
-        episode_length=1000,
-        tracked_body=robot.root,
-        cameras=tuple(parts.cameras),
-        options=options,
-        slices=partial(_slices, robot=robot.name),
-        check=partial(_check, robot=robot.name),
+        check=lambda task: problems(task, inventory_of(robot.name)),
         package=robot.package,
         free_in_rollouts=("terrain",),
         curriculum_option="terrain/curriculum",
@@ -179,10 +157,6 @@ def _row(robot: Robot, options: type[TaskOptions], description: str) -> Environm
         on_a_cpu=(Rule("compiled", 1, "The robot's code is compiled for it alone."),),
         on_a_gpu=(Rule("compiled", 1, "The robot's code is compiled for it alone."),),
     )
-
-
-def _slices(options: TaskOptions, robot: str) -> Spaces:
-    return task_slices(options, inventory_of(robot))
 
 
 INFOS = (

@@ -7,10 +7,19 @@ import mujoco
 
 from core.environments.mjcf.edit_options import ModelEdits
 from core.environments.mjcf.edits import edit
+from core.environments.robots.info import ROBOTS
 from core.environments.robots.robot import Robot
+from core.environments.task import solver_settings
+from core.environments.terms.task import TaskOptions
 from core.errors import JobFailed
 from core.installation import to_install_robots
+from core.physics.engine import SolverSettings
 from core.reasons import Reason
+
+
+def robot(name: str, options: TaskOptions) -> tuple[mujoco.MjSpec, SolverSettings]:
+    """The catalog's robot, and how far engines solve. Raises like `spec`."""
+    return spec(ROBOTS[name]), solver_settings(options)
 
 
 def spec(robot: Robot, edits: ModelEdits | None = None) -> mujoco.MjSpec:

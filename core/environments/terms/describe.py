@@ -3,17 +3,17 @@
 import copy
 from collections.abc import Callable, Iterator
 from itertools import chain, islice
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from core.environments.terms.actuation import kind_of, motor_of
-from core.environments.terms.inventory import Actuator, Inventory, Joint, Sensor, Sizes
+from core.environments.terms.inventory import Actuator, Inventory, Joint, JointType, Sensor, Sizes
 from core.physics.compiled.constraints.pairs import listed_geoms, touching_geoms
 from core.physics.model import initial_qpos
 
-_TYPES: dict[Any, Literal["free", "ball", "slide", "hinge"]] = {
+JOINT_TYPES: dict[Any, JointType] = {
     mujoco.mjtJoint.mjJNT_FREE: "free",
     mujoco.mjtJoint.mjJNT_BALL: "ball",
     mujoco.mjtJoint.mjJNT_SLIDE: "slide",
@@ -171,7 +171,7 @@ def height_of(model: mujoco.MjModel, qpos: np.ndarray, body: int) -> float:
 
 def _joint_types(model: mujoco.MjModel, body: int) -> list[str]:
     first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-    return [_TYPES[mujoco.mjtJoint(kind)] for kind in model.jnt_type[first : first + number]]
+    return [JOINT_TYPES[mujoco.mjtJoint(kind)] for kind in model.jnt_type[first : first + number]]
 
 
 def _names(get: Callable[[int], Any], count: int) -> list[str]:
@@ -180,7 +180,7 @@ def _names(get: Callable[[int], Any], count: int) -> list[str]:
 
 def _joint(model: mujoco.MjModel, number: int) -> Joint:
     joint = model.joint(number)
-    kind = _TYPES[mujoco.mjtJoint(int(joint.type[0]))]
+    kind = JOINT_TYPES[mujoco.mjtJoint(int(joint.type[0]))]
     limited = kind in ("slide", "hinge") and bool(model.jnt_limited[number])
     low, high = map(float, joint.range)
     return Joint(

@@ -1,14 +1,20 @@
 """A model's parts, by name; the API checks terms against them, so this imports no numerical code."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Literal
 
 from core.documents import Stored
 from core.environments.patterns import matching
 from core.physics.availability import BodySize, EngineName
 
+# `core.environments.describe_bodies` makes it of the catalog's bodies.
+TABLE = Path(__file__).parents[1] / "inventories.json"
 Kind = Literal["body", "geom", "joint", "sensor"]
+JointType = Literal["free", "ball", "slide", "hinge"]
 # On a joint: the control is a position, a velocity, or a torque or force.
 ActuatorKind = Literal["position", "velocity", "motor"]
 
@@ -18,7 +24,7 @@ class Joint(Stored):
     the greatest torque or force that its actuators may give, N m or N; None: no limit, or it is not known."""
 
     name: str
-    type: Literal["free", "ball", "slide", "hinge"]
+    type: JointType
     body: str
     qpos_start: int
     qvel_start: int
@@ -144,3 +150,12 @@ class ModelParts:
         """The geoms that can touch something, of the bodies that a pattern matches."""
         bodies = set(matching(patterns, self.model.bodies[1:]))
         return [geom for geom, on in (self.model.colliders or {}).items() if on[0] in bodies]
+
+
+@cache
+def inventory_of(body: str) -> Inventory:
+    """The parts of a body of the catalog; of the corridor those of a walker, `corridor/<walker>`.
+
+    Raises KeyError for a body that the table lacks.
+    """
+    return Inventory.model_validate(json.loads(TABLE.read_text())[body])

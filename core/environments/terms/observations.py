@@ -6,16 +6,10 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from core.environments import bodies
-from core.environments.bodies import CINERT, CVEL, MATRIX_AND_MASS, Body, JointType
 from core.environments.info import Slice, named
-from core.environments.numbers import (
-    PREVIOUS_ACTION,
-    Numbers,
-    numbers,
-    rows,
-)
 from core.environments.patterns import PATTERNS, Patterns
+from core.environments.terms import array_slices
+from core.environments.terms.array_slices import CINERT, CVEL, MATRIX_AND_MASS
 from core.environments.terms.inventory import Inventory, ModelParts, Sensor
 from core.environments.terms.sensed import Sensed, as_measured
 from core.environments.terms.term import DELAY, Array, Delay, Names, OfBodies, OfBody, Term
@@ -50,8 +44,6 @@ _UNITS = {
 }
 _AXES = ("x", "y", "z")
 _MATRIX = tuple(f"{row}{column}" for row in _AXES for column in _AXES)
-# Fields of the physics that it always has; others are derived.
-_OF_A_STATE = ("qpos", "qvel", "act")
 
 
 class ObservationTerm(Term):
@@ -103,13 +95,9 @@ class ObservationTerm(Term):
             high = self.clip if high is None else min(high, self.clip)
         return low, high
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        """Where they are in MuJoCo's arrays, for those that are part of them."""
-        raise NotImplementedError
-
     def sensed(self, model: "ModelIndex", parts: ModelParts) -> Sensed:
         """What a robot measures for it, before noise, scale and clip."""
-        return as_measured(str(getattr(self, "kind", "")), self.slices(parts))
+        return as_measured(self.label, self.slices(parts))
 
     def seen(
         self, step: "Step", model: "ModelIndex", uniform: Array | None = None, bias: Array | None = None
@@ -127,40 +115,29 @@ class ObservationTerm(Term):
             values = self.scale * values
         return values if self.clip is None else step.xp.clip(values, -self.clip, self.clip)
 
-    def measure(self, step: "Step", model: "ModelIndex") -> Array:
-        seen = self.numbers(model)
-        if seen.array == PREVIOUS_ACTION:
-            return step.action
-        after = step.after
-        array = getattr(after, seen.array) if seen.array in _OF_A_STATE else after.derived[seen.array]
-        values = array.ravel()
-        chosen = values[step.places(seen.places)]
-        return chosen - values[step.places(seen.less)] if seen.less else chosen
-
 
 class _BodyNumbers(OfBodies, ObservationTerm):
-    """Rows of an array that has one for each body."""
+    """Rows of an array that has one for each body. title: of its slice; None: its kind."""
 
     array: ClassVar[str]
     parts: ClassVar[Sequence[str]]
     unit: ClassVar[str]
-    label: ClassVar[str | None] = None
+    title: ClassVar[str | None] = None
 
     def size(self, parts: ModelParts) -> int:
         number = parts.model.sizes.nbody if self.bodies is None else len(self.bodies)
         return number * len(self.parts)
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
-        number = parts.model.sizes.nbody - 1
-        name = self.label or str(getattr(self, "kind"))  # noqa: B009 Each of these classes has one.
+        number, name = parts.model.sizes.nbody - 1, self.title or self.label
         all_named = [body for body in parts.model.bodies if body != "world"]
         if self.bodies is None and len(all_named) != number:  # One has no name.
             yield Slice(name, 0, number * len(self.parts), self.unit)
         else:
-            yield bodies.rows(name, self.bodies or all_named, self.parts, self.unit)
+            yield array_slices.rows(name, self.bodies or all_named, self.parts, self.unit)
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        return rows(self.array, model.bodies(self.bodies).tolist(), len(self.parts))
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.after.derived[self.array][step.places(model.bodies(self.bodies))].ravel()
 
 
 class Qpos(ObservationTerm):
@@ -180,10 +157,10 @@ class Qpos(ObservationTerm):
         return parts.model.sizes.nq
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
-        return bodies.qpos(_joints(parts.model), self._hidden(parts))
+        return array_slices.qpos(parts.model, self._hidden(parts))
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        return numbers("qpos", model.visible_positions(self._num_hidden, self.without))
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.after.qpos[step.places(model.visible_positions(self._num_hidden, self.without))]
 
     @property
     def _num_hidden(self) -> int:
@@ -208,10 +185,10 @@ class Qvel(ObservationTerm):
         return parts.model.sizes.nv
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
-        return bodies.qvel(_joints(parts.model))
+        return array_slices.qvel(parts.model)
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        return numbers("qvel", range(model.model.nv))
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.after.qvel
 
 
 class Height(OfBody, ObservationTerm):
@@ -240,8 +217,8 @@ class PreviousAction(ObservationTerm):
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
         yield named("previous_action", parts.acting, "1", -1.0, 1.0)
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        return numbers(PREVIOUS_ACTION, range(model.num_actions))
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.action
 
 
 class Activation(ObservationTerm):
@@ -255,8 +232,8 @@ class Activation(ObservationTerm):
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
         yield Slice("act", 0, parts.model.sizes.na)
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        return numbers("act", range(model.model.na))
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.after.act
 
 
 class Sensors(ObservationTerm):
@@ -274,8 +251,8 @@ class Sensors(ObservationTerm):
             names = [name] if sensor.size == 1 else [f"{name} {number}" for number in range(sensor.size)]
             yield named("sensors", names, _UNITS.get(sensor.type))
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        return numbers("sensordata", model.sensors(self.names))
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.after.derived["sensordata"][step.places(model.sensors(self.names))]
 
     def _sensors(self, model: Inventory) -> Sequence[Sensor]:
         if self.names is None:
@@ -292,10 +269,11 @@ class BodyPositions(_BodyNumbers):
     kind: Literal["body_positions"] = "body_positions"
     relative: bool = Field(default=False, description="Relative to the root, along the world's axes.")
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        seen = super().numbers(model)
-        less = [3 * model.root + axis for axis in range(3)] * (len(seen.places) // 3)
-        return replace(seen, less=less) if self.relative else seen
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        positions = super().measure(step, model)
+        if not self.relative:
+            return positions
+        return (positions.reshape(-1, 3) - step.after.derived[self.array][model.root]).ravel()
 
 
 class BodyOrientations(_BodyNumbers):
@@ -325,20 +303,20 @@ class Cinert(_BodyNumbers):
 class BodyInertias(_BodyNumbers):
     """`cinert` as matrices: of each body the inertia row by row, then its mass. As in Brax's humanoid."""
 
-    array, parts, unit, label = "cinert", MATRIX_AND_MASS, "kg m², kg", "inertia"
+    array, parts, unit, title = "cinert", MATRIX_AND_MASS, "kg m², kg", "inertia"
 
     kind: Literal["body_inertias"] = "body_inertias"
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        columns = [CINERT.index(part) for part in self.parts]
-        return rows(self.array, model.bodies(self.bodies).tolist(), len(CINERT), columns)
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        columns = step.xp.asarray([CINERT.index(part) for part in self.parts])
+        return step.after.derived[self.array][step.places(model.bodies(self.bodies))][:, columns].ravel()
 
 
 class ShareVelocities(_BodyNumbers):
     """Velocities of bodies: that of its own centre of mass times the body's share of all masses, in m/s, then
     the angular velocity, in rad/s. As in Brax's humanoid."""
 
-    array, parts, unit, label = "cvel", (*CVEL[3:], *CVEL[:3]), "m/s, rad/s", "velocity"
+    array, parts, unit, title = "cvel", (*CVEL[3:], *CVEL[:3]), "m/s, rad/s", "velocity"
 
     kind: Literal["share_velocities"] = "share_velocities"
 
@@ -362,10 +340,10 @@ class ActuatorForces(ObservationTerm):
         return parts.model.sizes.nv
 
     def slices(self, parts: ModelParts) -> Iterable[Slice]:
-        return bodies.qfrc_actuator(_joints(parts.model))
+        return array_slices.qfrc_actuator(parts.model)
 
-    def numbers(self, model: "ModelIndex") -> Numbers:
-        return numbers("qfrc_actuator", range(model.model.nv))
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        return step.after.derived["qfrc_actuator"]
 
 
 NumbersOfMujoco = (
@@ -383,10 +361,3 @@ NumbersOfMujoco = (
     | ShareVelocities
     | ActuatorForces
 )
-
-
-def _joints(model: Inventory) -> Body:
-    kinds: dict[str, JointType] = {
-        joint.name or f"{joint.body} joint {number}": joint.type for number, joint in enumerate(model.joints)
-    }
-    return Body(kinds, {})

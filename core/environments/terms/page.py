@@ -1,20 +1,15 @@
 """A body of the catalog as a page: its model, its options, the task of terms that they make, and its row."""
 
-import json
 from collections.abc import Callable, Mapping
-from functools import cache
 from importlib import import_module
-from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
-from core.environments.terms.inventory import Inventory
+from core.environments.terms.inventory import Inventory, inventory_of
 from core.environments.terms.rewards import Alive, Healthy
-from core.environments.terms.task import Reset, TaskOptions, task_slices
+from core.environments.terms.task import Reset, TaskOptions, control_step_s, task_slices
 from core.environments.terms.terminations import AnyTermination
-
-TABLE = Path(__file__).parents[1] / "inventories.json"
 
 
 def page(
@@ -22,6 +17,8 @@ def page(
     model: str,
     task: Callable[[Any], TaskOptions],
     options: type[Strict],
+    *,
+    unit_of_action: str | None = "1",
     reports: Mapping[str, Any] | None = None,
     **facts: Any,
 ) -> EnvironmentInfo:
@@ -31,34 +28,30 @@ def page(
     settings of the solver: see `core.environments.page_env`. reports: fields of `TaskSettings`. facts:
     further fields of the row.
     """
-    parts, default = _inventory_of(id, model, options), task(options())
+    parts, default = _parts(id, model, options), task(options())
     return EnvironmentInfo(
         id=id,
         factory="core.environments.page_env:make",
         observation_size=task_slices(default, parts).observation_size,
         action_size=parts.sizes.nu,
-        dt=round(parts.timestep_s * (default.n_frames or 1), 9),
+        dt=round(control_step_s(default, parts), 9),
         episode_length=1000,
         tracked_body=parts.root,
         cameras=tuple(filter(None, parts.cameras)),
         options=options,
-        slices=lambda chosen: task_slices(task(chosen), parts, unit_of_action="1"),
+        slices=lambda chosen: task_slices(task(chosen), parts, unit_of_action),
         arguments={"body": id, "model": model, "task": task, **(reports or {})},
         **facts,
     )
 
 
-def _inventory_of(body: str, model: str, options: type[Strict]) -> Inventory:
+def _parts(body: str, model: str, options: type[Strict]) -> Inventory:
     """The parts of the body's model. Those of a body that the table lacks are read from its model, which
     loads MuJoCo: see `core.environments.describe_bodies`."""
-    if body in _table():
-        return Inventory.model_validate(_table()[body])
-    return import_module("core.environments.page_env").parts_of(body, model, options())
-
-
-@cache
-def _table() -> dict[str, Any]:
-    return json.loads(TABLE.read_text())
+    try:
+        return inventory_of(body)
+    except KeyError:
+        return import_module("core.environments.page_env").parts_of(body, model, options())
 
 
 class HealthyOptions(Protocol):

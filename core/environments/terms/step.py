@@ -75,11 +75,11 @@ class Step:
         """[n] float32."""
         return self.xp.asarray(values, self.xp.float32)
 
-    def places(self, numbers: Sequence[int]) -> np.ndarray | slice:
-        """Indices of an array; a slice where they follow each other, which costs less."""
-        if numbers and list(numbers) == list(range(numbers[0], numbers[0] + len(numbers))):
-            return slice(numbers[0], numbers[0] + len(numbers))
-        return np.array(numbers, int)
+    def places(self, numbers: np.ndarray) -> np.ndarray | slice:
+        """Indices [n] of an array; a slice where they follow each other, which costs less."""
+        if numbers.size and (np.diff(numbers) == 1).all():
+            return slice(int(numbers[0]), int(numbers[-1]) + 1)
+        return numbers
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,11 @@ class Term(Strict):
     remembers: ClassVar[frozenset[Memory]] = frozenset()
 
     @property
+    def label(self) -> str:
+        """Its kind, as text."""
+        return str(getattr(self, "kind", ""))
+
+    @property
     def needed(self) -> frozenset[Need]:
         """What it needs as it is configured."""
         return self.needs

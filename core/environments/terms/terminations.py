@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from core.environments.numbers import Numbers, numbers
 from core.environments.options import Range
 from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms.term import Array, OfAxis, OfBody, OfBodyContact, OfContact, OfHeight, Term
@@ -94,14 +93,12 @@ class OutsideJointRange(TerminationTerm):
     of: Literal["position", "velocity"] = "position"
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
-        where = self._where(model)
-        values, (low, high) = getattr(step.after, where.array)[step.places(where.places)], self.range
-        return step.xp.where(step.xp.all((values > low) & (values < high)), 0.0, 1.0)
-
-    def _where(self, model: "ModelIndex") -> Numbers:
         if self.of == "position":
-            return numbers("qpos", model.joint_positions(self.joints))
-        return numbers("qvel", model.joint_velocities(self.joints))
+            values = step.after.qpos[step.places(model.joint_positions(self.joints))]
+        else:
+            values = step.after.qvel[step.places(model.joint_velocities(self.joints))]
+        low, high = self.range
+        return step.xp.where(step.xp.all((values > low) & (values < high)), 0.0, 1.0)
 
 
 class FellIntoHole(OfBody, TerminationTerm):

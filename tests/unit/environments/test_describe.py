@@ -5,7 +5,8 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from core.environments.mjcf.model import compiled, read
+from core.environments.mjcf.model import read
+from core.environments.task_model import compiled
 from core.environments.terms.describe import can_go_forward, inventory, root_of
 
 BALL = '<body name="ball" pos="3 0 1"><freejoint/><geom size=".1"/></body>'

@@ -14,16 +14,16 @@ import pytest
 from numpy.typing import NDArray
 
 from core.environments import catalog
-from core.environments.bodies import CINERT, CVEL, TABLE
 from core.environments.cpg import roles
 from core.environments.cpg.options import CPGOptions, GaitOptions
 from core.environments.cpg.roles import decode
-from core.environments.describe_bodies import described, pages
+from core.environments.describe_bodies import pages
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo, Slice, Spaces, in_order, named
 from core.environments.mjcf.info import MjcfOptions
+from core.environments.terms.array_slices import CINERT, CVEL
 from core.environments.terms.describe import inventory
-from core.environments.terms.page import TABLE as PAGES_TABLE
+from core.environments.terms.inventory import TABLE
 from core.environments.terms.task import task_slices
 from core.physics.choose import engine_builder
 from tests.unit.environments.mjcf import probe
@@ -285,7 +285,5 @@ def test_another_packages_numbers_are_one_slice_without_names(id: str) -> None:
 
 
 def test_the_table_of_bodies_is_that_of_the_models() -> None:
-    assert json.loads(json.dumps(pages())) == json.loads(PAGES_TABLE.read_text())
-    info, options = catalog.resolve("reacher", {})
-    model = catalog.make(info, options, engine_builder("native")).model
-    assert json.loads(json.dumps(described(model))) == json.loads(TABLE.read_text())["reacher"]
+    known = json.loads(TABLE.read_text()).items()
+    assert pages() == {name: row for name, row in known if "/" not in name}

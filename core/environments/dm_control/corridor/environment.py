@@ -85,7 +85,7 @@ class Corridor(MujocoEnv):
         self.initial_qpos = self.initial_qpos.at[2].add(options.reset_noise_scale)
         self._options = options
         self._num_hidden = hidden
-        self._bodies = slice(self.tracked_body, self.tracked_body + walker.num_bodies)
+        self._bodies = slice(self.tracked_body, None)  # The walker comes after its arena.
         self._endings = termination.Endings(model, options)
         ends = options.start_x, options.corridor_length
         self._course = (

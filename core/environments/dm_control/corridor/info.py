@@ -6,7 +6,6 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from core.documents import Strict
-from core.environments.bodies import body, controls, qpos, qvel
 from core.environments.dm_control.corridor.curriculum import OF_ARENA, Curriculum
 from core.environments.dm_control.corridor.options import Drawn, TaskOptions, check_stands_on_its_feet, slices
 from core.environments.dm_control.corridor.walkers import (
@@ -24,6 +23,8 @@ from core.environments.options import (
     check_survives_its_start,
     lacks_solver,
 )
+from core.environments.terms.array_slices import ctrl, qpos, qvel
+from core.environments.terms.inventory import inventory_of
 from core.physics.availability import EngineName, Rule, beyond_compiled
 
 # The length of dm_control's first platform, and the space it leaves before the first wall, in metres.
@@ -215,14 +216,14 @@ def _check_number(number: float, what: str) -> None:
 
 def _under(options: CorridorOptions) -> Mapping[str, Any]:
     """The fields of the row that these options change."""
-    walker = WALKERS[options.walker]
+    walker, numbers = WALKERS[options.walker], spaces(options)
     return {
-        "observation_size": spaces(options).observation_size,
-        "action_size": walker.num_actuators,
+        "observation_size": numbers.observation_size,
+        "action_size": numbers.action_size,
         "dt": options.timestep * options.n_frames,
         "episode_length": options.episode_length,
         "tracked_body": walker.trunk,
-        "cameras": walker.cameras,
+        "cameras": tuple(inventory_of(f"corridor/{options.walker}").cameras),
         "info": ("layout",) if options.has_layouts else (),
         "has_curriculum": options.curriculum is not None,
         "cannot_run": _cannot_run(options),
@@ -233,7 +234,7 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
 
 def spaces(options: CorridorOptions) -> Spaces:
     """The numbers of an observation and of an action under these options."""
-    own = body(f"corridor/{options.walker}")
+    own = inventory_of(f"corridor/{options.walker}")
     hidden = range(2) if options.exclude_current_positions_from_observation else ()
     ahead = [
         one
@@ -253,7 +254,7 @@ def spaces(options: CorridorOptions) -> Spaces:
         *ahead,
         named("egocentric_depth", image, "m", 0.0, SIGHT_M),
     ]
-    return Spaces(in_order(seen), in_order(controls(own)))
+    return Spaces(in_order(seen), in_order(ctrl(own)))
 
 
 def _is_long(options: CorridorOptions) -> bool:

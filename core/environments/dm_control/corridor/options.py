@@ -7,10 +7,11 @@ from pydantic import AfterValidator, Field
 
 from core.bounds import Real
 from core.documents import Strict
-from core.environments.bodies import CINERT, CVEL, Body, qfrc_actuator, rows
 from core.environments.dm_control.corridor.walkers import Walker
 from core.environments.info import Slice
 from core.environments.options import Weight
+from core.environments.terms.array_slices import CINERT, CVEL, qfrc_actuator, rows
+from core.environments.terms.inventory import Inventory
 
 
 def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -41,7 +42,7 @@ def in_order(chosen: Sequence[Observable]) -> tuple[Observable, ...]:
     return tuple(name for name in OBSERVABLES if name in chosen)
 
 
-def slices(chosen: Sequence[Observable], walker: Body) -> list[Slice]:
+def slices(chosen: Sequence[Observable], walker: Inventory) -> list[Slice]:
     """Their numbers by name, of a walker's bodies and joints."""
     named = {
         "cinert": [rows("cinert", walker.bodies, CINERT, "kg m², kg m, kg")],

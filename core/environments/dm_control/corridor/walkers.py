@@ -22,21 +22,16 @@ class WalkerInfo:
     """One of dm_control's walkers.
 
     source: `module:class` of dm_control. trunk: the body whose height counts and which the camera follows.
-    num_positions, num_velocities: nq and nv, the root's joints included. num_bodies: the trunk's, and those
-    that it carries. reach: metres from the trunk to the farthest tip when it stands. standing_height,
+    reach: metres from the trunk to the farthest tip when it stands. standing_height,
     healthy_z_range: height of the trunk above the ground, in metres; docs/environments/corridor.md has the
     measurements. settles: whether it stands without control. zero_action: the default of the
     option of this name. has_ellipsoids, has_cylinders: whether parts that touch the arena are. feet: bodies;
     their geoms, and those of all that they carry, are dm_control's `ground_contact_geoms`. end_effectors:
-    dm_control's, which are bodies. cameras: in their order.
+    dm_control's, which are bodies.
     """
 
     source: str
     trunk: str
-    num_positions: int
-    num_velocities: int
-    num_actuators: int
-    num_bodies: int
     reach: float
     standing_height: float
     healthy_z_range: tuple[float, float]
@@ -44,7 +39,6 @@ class WalkerInfo:
     has_ellipsoids: bool
     feet: tuple[str, ...]
     end_effectors: tuple[str, ...]
-    cameras: tuple[str, ...]
     has_cylinders: bool = False
     zero_action: ZeroAction = "middle"
 
@@ -60,10 +54,6 @@ _HUMANOID_END_EFFECTORS = ("walker/rradius", "walker/lradius", "walker/rfoot", "
 _HUMANOID_2019 = WalkerInfo(
     source="dm_control.locomotion.walkers.cmu_humanoid:CMUHumanoidPositionControlled",
     trunk="walker/root",
-    num_positions=63,
-    num_velocities=62,
-    num_actuators=56,
-    num_bodies=31,
     reach=1.0,
     standing_height=0.94,
     healthy_z_range=(0.6, 1.25),
@@ -71,25 +61,12 @@ _HUMANOID_2019 = WalkerInfo(
     has_ellipsoids=True,
     feet=("walker/lfoot", "walker/rfoot"),
     end_effectors=_HUMANOID_END_EFFECTORS,
-    cameras=(
-        "walker/back",
-        "walker/side",
-        "walker/front_side",
-        "walker/float_far",
-        "walker/float_far_flip",
-        "walker/bodycam",
-        "walker/egocentric",
-    ),
     zero_action="start",
 )
 
 _JUMPING_BALL = WalkerInfo(
     source="dm_control.locomotion.walkers.jumping_ball:JumpingBallWithHead",
     trunk="walker/head_body",
-    num_positions=6,
-    num_velocities=6,
-    num_actuators=3,
-    num_bodies=3,
     reach=0.3,
     standing_height=0.6,
     healthy_z_range=(0.4, 3.0),
@@ -98,17 +75,12 @@ _JUMPING_BALL = WalkerInfo(
     has_cylinders=True,
     feet=("walker/torso",),
     end_effectors=("walker/head_body",),
-    cameras=("walker/tracking", "walker/egocentric"),
 )
 
 WALKERS: Mapping[Walker, WalkerInfo] = {
     "ant": WalkerInfo(
         source="dm_control.locomotion.walkers.ant:Ant",
         trunk="walker/torso",
-        num_positions=15,
-        num_velocities=14,
-        num_actuators=8,
-        num_bodies=13,
         reach=1.0,
         standing_height=0.36,
         healthy_z_range=(0.27, 1.0),
@@ -116,15 +88,10 @@ WALKERS: Mapping[Walker, WalkerInfo] = {
         has_ellipsoids=False,
         feet=_ANT_FEET,
         end_effectors=_ANT_FEET,
-        cameras=("walker/sideon", "walker/float_far", "walker/floating", "walker/egocentric"),
     ),
     "rodent": WalkerInfo(
         source="dm_control.locomotion.walkers.rodent:Rat",
         trunk="walker/torso",
-        num_positions=74,
-        num_velocities=73,
-        num_actuators=38,
-        num_bodies=65,
         reach=0.3,
         standing_height=0.047,
         healthy_z_range=(0.03, 0.3),
@@ -133,15 +100,10 @@ WALKERS: Mapping[Walker, WalkerInfo] = {
         # The last one is where its tail begins.
         feet=("walker/foot_L", "walker/foot_R", "walker/hand_L", "walker/hand_R", "walker/vertebra_C1"),
         end_effectors=("walker/lower_arm_R", "walker/lower_arm_L", "walker/foot_R", "walker/foot_L"),
-        cameras=("walker/back", "walker/side", "walker/side_alt", "walker/top", "walker/egocentric"),
     ),
     "humanoid": WalkerInfo(
         source="dm_control.locomotion.walkers.cmu_humanoid:CMUHumanoidPositionControlledV2020",
         trunk="walker/root",
-        num_positions=63,
-        num_velocities=62,
-        num_actuators=56,
-        num_bodies=32,
         reach=1.0,
         standing_height=1.14,
         healthy_z_range=(0.7, 1.5),
@@ -149,13 +111,6 @@ WALKERS: Mapping[Walker, WalkerInfo] = {
         has_ellipsoids=True,
         feet=("walker/lfoot", "walker/rfoot"),
         end_effectors=_HUMANOID_END_EFFECTORS,
-        cameras=(
-            "walker/back",
-            "walker/side",
-            "walker/front_side",
-            "walker/bodycam",
-            "walker/egocentric",
-        ),
         zero_action="start",
     ),
     "humanoid_2019": _HUMANOID_2019,
@@ -168,9 +123,6 @@ WALKERS: Mapping[Walker, WalkerInfo] = {
     "rolling_ball": replace(
         _JUMPING_BALL,
         source="dm_control.locomotion.walkers.jumping_ball:RollingBallWithHead",
-        num_positions=5,
-        num_velocities=5,
-        num_actuators=2,
         healthy_z_range=(0.4, 1.0),
     ),
 }

@@ -1,7 +1,8 @@
 """The reacher's row in the catalog."""
 
-from core.environments.bodies import body, controls
 from core.environments.info import EnvironmentInfo, NoOptions, Spaces, in_order, named
+from core.environments.terms.array_slices import ctrl
+from core.environments.terms.inventory import inventory_of
 from core.physics.availability import Rule
 
 
@@ -13,7 +14,7 @@ def _reacher_slices(_: NoOptions) -> Spaces:
         named("tip_velocity", ("x", "y"), "m/s"),
         named("target_to_tip", ("x", "y", "z"), "m"),
     ]
-    return Spaces(in_order(seen), in_order(controls(body("reacher"))))
+    return Spaces(in_order(seen), in_order(ctrl(inventory_of("reacher"))))
 
 
 INFO = EnvironmentInfo(

@@ -1,5 +1,6 @@
 """The table of walkers against dm_control: all that it has are offered, or refused with a reason."""
 
+import json
 from collections.abc import Iterator
 from importlib import import_module
 from inspect import isabstract
@@ -12,12 +13,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.environments import catalog
+from core.environments import catalog, describe_bodies
 from core.environments.dm_control.corridor.environment import Corridor, holding_controls
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.environments.dm_control.corridor.walkers import NOT_OFFERED, WALKERS, Walker
 from core.environments.dm_control.dm_control_import import without_a_display
+from core.environments.terms.inventory import TABLE
 from core.errors import Rejected
 from core.physics.choose import engine_builder
 from core.physics.model import initial_qpos
@@ -84,11 +86,9 @@ def test_a_walker_that_is_not_offered_is_refused_with_its_reason(walker: str) ->
 def test_a_row_is_what_dm_control_composes(walker: Walker) -> None:
     info, theirs = WALKERS[walker], made(walker)
     model = corridor_model(CorridorOptions(walker=walker, arena="empty", corridor_length=10))
-    assert (model.nq, model.nv, model.nu) == (info.num_positions, info.num_velocities, info.num_actuators)
-    assert info.cameras == tuple(model.camera(number).name for number in range(model.ncam))
+    assert describe_bodies.walker(walker) == json.loads(TABLE.read_text())[f"corridor/{walker}"]
     trunk = model.body(info.trunk).id
     # Bodies come in the order of a depth-first search, and the walker is the last part of the world.
-    assert model.nbody - trunk == info.num_bodies
     assert (model.body_rootid[trunk:] == model.body_rootid[trunk]).all()
     assert info.trunk == f"walker/{theirs.root_body.name}"
     assert {f"walker/{part.name}" for part in theirs.end_effectors} == set(info.end_effectors)
@@ -151,7 +151,7 @@ def steps_until_it_falls(walker: Walker, **options: Any) -> int:
 
 
 def test_an_action_of_the_humanoid_is_added_to_the_control_that_holds_its_start() -> None:
-    info, model = WALKERS["humanoid"], corridor_model(CorridorOptions(walker="humanoid", arena="empty"))
+    model = corridor_model(CorridorOptions(walker="humanoid", arena="empty"))
     held = holding_controls(model, initial_qpos(model))
     # A thigh goes from -160 to 20 degrees, so 0 is 70 of 90 degrees above the middle; a knee from 1 to 170.
     thigh, knee = model.actuator("walker/lfemurrx").id, model.actuator("walker/ltibiarx").id
@@ -160,7 +160,7 @@ def test_an_action_of_the_humanoid_is_added_to_the_control_that_holds_its_start(
     start = environment.reset(jax.random.key(0)).physics
     # The servos' filters begin there, so that nothing pulls as the episode begins.
     np.testing.assert_allclose(start.act, held, atol=1e-6)
-    action = np.full(info.num_actuators, 0.5, np.float32)
+    action = np.full(model.nu, 0.5, np.float32)
     got = environment.step(environment.reset(jax.random.key(0)), jnp.asarray(action)).physics
     expected = environment.engine.step(start, jnp.clip(held + action, -1.0, 1.0))
     np.testing.assert_array_equal(got.qpos, expected.qpos)

@@ -10,7 +10,8 @@ import pytest
 from core.environments.mjcf import archive
 from core.environments.mjcf.archive import examine
 from core.environments.mjcf.main_document import with_main
-from core.environments.mjcf.model import compiled, read
+from core.environments.mjcf.model import read
+from core.environments.task_model import compiled
 from core.errors import BadModel
 
 PLAIN = b"<mujoco><worldbody/></mujoco>"

@@ -10,8 +10,9 @@ import pytest
 from core.environments.mjcf import check, edit_check
 from core.environments.mjcf.edits import edit
 from core.environments.mjcf.info import MjcfOptions
-from core.environments.mjcf.model import compiled, name_parts, read
+from core.environments.mjcf.model import name_parts, read
 from core.environments.mjcf.recipe import NoRecipe, Recipe, recipe
+from core.environments.task_model import compiled
 from core.environments.terms.describe import inventory
 from tests.unit.environments.mjcf.probe import MODEL
 

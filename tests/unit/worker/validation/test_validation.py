@@ -14,7 +14,8 @@ import psutil
 import pytest
 
 from core.adapters.postgres.store import PostgresJobStore
-from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, read
+from core.environments.mjcf.model import SLEEP_IS_OFF, read
+from core.environments.task_model import compiled
 from core.environments.terms.describe import inventory
 from core.errors import BadModel, ModelNotFound
 from core.jobs.job import utc_now
