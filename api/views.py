@@ -213,6 +213,7 @@ def environment_details(info: EnvironmentInfo) -> EnvironmentDetails:
         critic=tuple(SliceView.model_validate(one) for one in info.spaces.critic),
         defaults=_by_algorithm_and_device(lambda kind, device: _defaults(kind, info, device)),
         metrics={kind or "rollout": tuple(sorted(metrics_of(info.id, kind))) for kind in (*ALGORITHMS, None)},
+        parts={kind: tuple(names) for kind, names in info.parts.items()},
     )
 
 

@@ -28,7 +28,8 @@ Numbers in brackets are defaults.
 """
 _SHARED: dict[type[BaseModel], str] = {
     ObservationTerm: "Every observation has these; noise and bias, then scale, clip, delay and history:",
-    RewardTerm: "Every reward has these, and costs are subtracted:",
+    RewardTerm: "Every reward has these, and costs are subtracted. A usual weight is a first guess for\n"
+    "a robot that walks by command:",
 }
 # Options that are one thing and not terms, and are described where they are used.
 _ELSEWHERE = {"root", "feet", "n_frames", "timestep", "solver", "iterations", "ls_iterations"}
@@ -72,8 +73,14 @@ def _row(term: type[BaseModel]) -> str:
     shared = {name for base in _SHARED if issubclass(term, base) for name in base.model_fields}
     own = {name: field for name, field in term.model_fields.items() if name not in {*shared, "kind"}}
     cost = "cost: " if issubclass(term, CostTerm) else ""
-    fields = "; ".join(_briefly(name, field) for name, field in own.items())
+    fields = "; ".join([*_weight(term), *(_briefly(name, field) for name, field in own.items())])
     return f"| `{term.model_fields['kind'].default}` | {cost}{_told(term)} | {fields} |"
+
+
+def _weight(term: type[BaseModel]) -> list[str]:
+    """The weight to begin with, where that is not the default."""
+    usual = term.usual_weight if issubclass(term, RewardTerm) else 1.0
+    return [] if usual == 1.0 else [f"`weight`, usually {usual:g}"]
 
 
 def _told(term: type[BaseModel]) -> str:

@@ -134,6 +134,8 @@ class EnvironmentInfo:
     has_curriculum: whether its fresh starts change while a run trains. curriculum_option: its place among
     the options.
     free_in_rollouts: options that a rollout may change from those that its policy was trained with.
+    parts: the names of the model's parts that a task of terms may name, by kind (`bodies`, `joints`, `geoms`,
+    `sensors`, `keyframes`); empty where they are not known.
     vary: the fields above that some options change, by name; the row itself has their values under the
     default options. slices: the numbers of an observation and an action under these options; None where they
     are not known. chosen: the options that the row describes; None: the default ones. check: what is wrong
@@ -163,6 +165,7 @@ class EnvironmentInfo:
     has_curriculum: bool = False
     curriculum_option: str = "curriculum"
     free_in_rollouts: tuple[str, ...] = ()
+    parts: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     vary: Callable[[Any], Mapping[str, Any]] | None = None
     slices: Callable[[Any], Spaces] | None = None
     chosen: Strict | None = None

@@ -71,7 +71,8 @@ class EnvironmentDetails(EnvironmentView):
     observation, action: their numbers in order, with units and bounds; empty where they depend on a model
     that the options do not name. critic: those that only the value function sees, if it sees others.
     metrics: what a job reports, by algorithm and for `rollout`; without the terms of a reward that depend on
-    options, `eval/episode_…`.
+    options, `eval/episode_…`. parts: the names that terms of a task may use, by kind (`bodies`, `joints`,
+    `geoms`, `sensors`, `keyframes`), where it is one of terms whose model is known.
     """
 
     observation: tuple[SliceView, ...] = ()
@@ -79,6 +80,7 @@ class EnvironmentDetails(EnvironmentView):
     critic: tuple[SliceView, ...] = ()
     defaults: Mapping[str, Mapping[Device, Mapping[str, Any]]] = {}
     metrics: Mapping[str, tuple[str, ...]] = {}
+    parts: Mapping[str, tuple[str, ...]] = {}
 
 
 class ModelView(View):

@@ -70,7 +70,14 @@ def test_an_environment_names_the_numbers_of_its_observation_and_action(stack: S
     assert whole["observation_size"] == 29
     # They would make the list long.
     assert "observation" not in stack.http.get("/environments").json()["items"][0]
-    assert stack.http.get("/environments/mjcf").json()["observation"] == []
+    own = stack.http.get("/environments/mjcf").json()
+    assert (own["observation"], own["parts"]) == ([], {})
+    robot = stack.http.get("/environments/go1").json()
+    feet = robot["options"]["properties"]["feet"]["default"]
+    assert set(feet) < set(robot["parts"]["bodies"])
+    assert (len(robot["parts"]["joints"]), robot["parts"]["keyframes"]) == (12, ["home"])
+    posture = robot["options"]["$defs"]["Posture"]["properties"]["weight"]
+    assert (posture["default"], posture["examples"]) == (1.0, [0.1])
 
 
 def test_an_environment_is_shown_under_the_options_that_a_job_would_give(stack: Stack) -> None:

@@ -144,6 +144,7 @@ class FootClearance(CostTerm):
     """
 
     needs = frozenset({"feet"})
+    usual_weight = 2.0
 
     kind: Literal["foot_clearance"] = "foot_clearance"
     height: float = Field(default=0.1, gt=0, le=1, description="The height h of a swing, in m.")
@@ -160,6 +161,8 @@ class FootSwingHeight(_OfTimes, CostTerm):
 
     Source: mjlab's `feet_swing_height`.
     """
+
+    usual_weight = 0.25
 
     kind: Literal["foot_swing_height"] = "foot_swing_height"
     height: float = Field(default=0.1, gt=0, le=1, description="The highest point h of a swing, in m.")
@@ -196,6 +199,7 @@ class FootGait(_OfContacts, RewardTerm):
     """
 
     needs = _OfContacts.needs | {"command", "gait"}
+    usual_weight = 0.5
 
     kind: Literal["foot_gait"] = "foot_gait"
 
@@ -207,6 +211,8 @@ class FootGait(_OfContacts, RewardTerm):
 
 class FootSlip(_OfContacts, CostTerm):
     """Σ ‖v_xy‖² of the soles that are on the ground, in m²/s². v: of a sole's lowest point."""
+
+    usual_weight = 0.1
 
     kind: Literal["foot_slip"] = "foot_slip"
     height: float | None = Field(
@@ -237,6 +243,8 @@ class SoftLanding(_OfTimes, CostTerm):
 
     Source: mjlab's `soft_landing`, whose force is that of all directions.
     """
+
+    usual_weight = 1e-5
 
     kind: Literal["soft_landing"] = "soft_landing"
 

@@ -128,6 +128,17 @@ class Inventory(Stored):
                 return [sensor.name for sensor in self.sensors if sensor.name]
 
 
+def parts_by_kind(model: Inventory) -> dict[str, tuple[str, ...]]:
+    """The names of the parts that a task may name."""
+    return {
+        "bodies": tuple(model.bodies),
+        "joints": tuple(joint.name for joint in model.moving_joints() if joint.name),
+        "geoms": tuple(model.geoms),
+        "sensors": tuple(model.names("sensor")),
+        "keyframes": tuple(filter(None, model.keyframes)),
+    }
+
+
 @dataclass(frozen=True)
 class ModelParts:
     """A model as a task names its parts. root: the body of the terms that name none. acting: the names of an

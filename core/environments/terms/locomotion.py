@@ -169,6 +169,7 @@ class VerticalVelocity(CostTerm):
     """v_z²: the root's velocity along the world's z, in m²/s²."""
 
     needs = frozenset({"free_root"})
+    usual_weight = 0.5
 
     kind: Literal["vertical_velocity"] = "vertical_velocity"
 
@@ -180,6 +181,7 @@ class RollPitchRate(CostTerm):
     """ω_x² + ω_y²: the root's angular velocity about its own x and y, in rad²/s²."""
 
     needs = frozenset({"free_root"})
+    usual_weight = 0.05
 
     kind: Literal["roll_pitch_rate"] = "roll_pitch_rate"
 
@@ -189,6 +191,8 @@ class RollPitchRate(CostTerm):
 
 class Posture(CostTerm):
     """Σ w (q − q*)²: how far joints are from the pose, in rad² or m²."""
+
+    usual_weight = 0.1
 
     kind: Literal["posture"] = "posture"
     weights: PerName = Field(default={".*": 1.0}, description=f"By joint; others weigh nothing. {PATTERNS}")
@@ -203,6 +207,7 @@ class StandStill(CostTerm):
     """Σ |q − q*| while the command is to stand: joints away from the pose, in rad or m."""
 
     needs = frozenset({"command"})
+    usual_weight = 0.05
 
     kind: Literal["stand_still"] = "stand_still"
 
@@ -215,6 +220,8 @@ class StandStill(CostTerm):
 class JointVelocityCost(CostTerm):
     """Σ q̇²: the joints' velocities, in rad²/s² or m²/s²."""
 
+    usual_weight = 0.0005
+
     kind: Literal["joint_velocity"] = "joint_velocity"
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
@@ -223,6 +230,8 @@ class JointVelocityCost(CostTerm):
 
 class JointAcceleration(CostTerm):
     """Σ ((q̇' − q̇) / dt)²: the joints' accelerations over a step, in rad²/s⁴ or m²/s⁴."""
+
+    usual_weight = 2.5e-7
 
     kind: Literal["joint_acceleration"] = "joint_acceleration"
 
@@ -233,6 +242,8 @@ class JointAcceleration(CostTerm):
 
 class JointTorque(CostTerm):
     """Σ τ²: the actuators' forces on the joints, in N² m² or N²."""
+
+    usual_weight = 0.0002
 
     kind: Literal["joint_torque"] = "joint_torque"
 
@@ -274,6 +285,7 @@ class BaseHeight(CostTerm):
     """(z − h)²: how far the root is from a height above the world's origin, in m²."""
 
     needs = frozenset({"free_root"})
+    usual_weight = 10.0
 
     kind: Literal["base_height"] = "base_height"
     height: float | None = Field(default=None, ge=0, le=100, description="h in m; null: that of the pose.")
@@ -291,6 +303,7 @@ class AngularMomentum(CostTerm):
     """
 
     needs = frozenset({"free_root"})
+    usual_weight = 0.02
 
     kind: Literal["angular_momentum"] = "angular_momentum"
 

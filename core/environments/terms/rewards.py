@@ -125,6 +125,8 @@ class Healthy(RewardTerm):
 class ControlCost(CostTerm):
     """Σ a²: the squared norm of the action, or of the control that it sets."""
 
+    usual_weight = 0.05
+
     kind: Literal["control_cost"] = "control_cost"
     of: Literal["action", "control"] = "action"
 
@@ -134,6 +136,8 @@ class ControlCost(CostTerm):
 
 class Energy(CostTerm):
     """Σ |τ q̇|: the actuators' absolute power, in W."""
+
+    usual_weight = 0.001
 
     kind: Literal["energy"] = "energy"
 
@@ -147,6 +151,8 @@ class ElectricalPower(CostTerm):
     Source: mjlab's `electrical_power_cost`.
     """
 
+    usual_weight = 0.001
+
     kind: Literal["electrical_power"] = "electrical_power"
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
@@ -157,6 +163,7 @@ class ActionRate(CostTerm):
     """Σ (aₜ − aₜ₋₁)²: the squared norm of the action's change since the last step."""
 
     remembers = frozenset({"previous_action"})
+    usual_weight = 0.02
 
     kind: Literal["action_rate"] = "action_rate"
 
@@ -172,6 +179,7 @@ class ActionAcceleration(CostTerm):
     """
 
     remembers = frozenset({"earlier_action", "previous_action"})
+    usual_weight = 0.01
 
     kind: Literal["action_acceleration"] = "action_acceleration"
 
@@ -206,6 +214,8 @@ class JointLimits(CostTerm):
     """Σ max(0, |q − m| − s h): how far joints are outside the middle part of their ranges, in rad or m.
     m: the middle of a joint's range, h: half of its width."""
 
+    usual_weight = 2.0
+
     kind: Literal["joint_limits"] = "joint_limits"
     joints: Names | None = Field(
         default=None, description="The joints' names; null: all hinges and slides with a range."
@@ -224,6 +234,8 @@ class JointLimits(CostTerm):
 
 class Contact(OfContact, RewardTerm):
     """How many of the named geoms touch something; a negative weight discourages it."""
+
+    usual_weight = -1.0
 
     kind: Literal["contact"] = "contact"
 

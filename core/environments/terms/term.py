@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from math import ceil, floor
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, ConfigDict, Field
 
 from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
@@ -102,10 +102,20 @@ class Term(Strict):
         raise NotImplementedError
 
 
+def _with_usual_weight(schema: dict[str, Any], term: type["RewardTerm"]) -> None:
+    schema["properties"]["weight"]["examples"] = [term.usual_weight]
+
+
 class RewardTerm(Term):
-    """A part of the reward."""
+    """A part of the reward.
+
+    usual_weight: a first guess for a robot that walks by command, as an example in the JSON Schema.
+    """
+
+    model_config = ConfigDict(json_schema_extra=_with_usual_weight)
 
     sign: ClassVar[float] = 1.0
+    usual_weight: ClassVar[float] = 1.0
 
     weight: Weight = Field(default=1.0, description="Multiplies the term.")
     name: Annotated[str, Field(pattern=r"^[a-z0-9_]{1,60}$")] | None = Field(

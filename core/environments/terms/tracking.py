@@ -41,6 +41,7 @@ class TrackLinearVelocity(RewardTerm):
     """exp(−‖v_xy − c_xy‖² / σ²): 1 where the root moves as commanded."""
 
     needs = frozenset({"velocity_command", "free_root"})
+    usual_weight = 2.0
 
     kind: Literal["track_linear_velocity"] = "track_linear_velocity"
     tolerance: float = Field(default=0.5, gt=0, le=100, description="Error at which the term is 1/e, in m/s.")
@@ -54,6 +55,7 @@ class TrackAngularVelocity(RewardTerm):
     """exp(−(ω_z − c_turn)² / σ²): 1 where the root turns as commanded."""
 
     needs = frozenset({"velocity_command", "free_root"})
+    usual_weight = 2.0
 
     kind: Literal["track_angular_velocity"] = "track_angular_velocity"
     tolerance: float = Field(
