@@ -116,14 +116,12 @@ def _told(model: ModelView, as_json: bool) -> None:
 
 def _recipe(model: ModelView) -> None:
     """Print the job, and on the standard error what was guessed in it. Exits with 1 where there is none."""
-    found = model.description or {}
-    for note in found.get("recipe_notes", []):
+    for note in (model.description or {}).get("recipe_notes", []):
         print(note, file=sys.stderr)
-    if not found.get("recipe"):
+    if (job := model.recipe_job) is None:
         print("There is no recipe for this model.", file=sys.stderr)
         raise typer.Exit(1)
-    options = {"model": model.id, **found["recipe"]}
-    print_json({"kind": "train", "environment": {"id": "mjcf", "options": options}, "battery": True})
+    print_json(job)
 
 
 def _how(tried: str | None, seconds: float | None) -> str:

@@ -100,6 +100,15 @@ class ModelView(View):
     message: str | None = None
     links: dict[str, str] = {}
 
+    @property
+    def recipe_job(self) -> dict[str, JsonValue] | None:
+        """A job in which it learns to walk by command, filled in from the model; None if it has no recipe."""
+        recipe = (self.description or {}).get("recipe")
+        if not recipe:
+            return None
+        options = {"model": self.id, **recipe}
+        return {"kind": "train", "environment": {"id": "mjcf", "options": options}, "battery": True}
+
 
 class StillView(View):
     """A still. camera: as a job's `video` names it; size: bytes; href: where to fetch the PNG."""
