@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,16 @@ TARGET = "target_position"
 _OF_ACTIONS = 0x616374
 _STEPS_PER_CALL = 200
 _MAX_ENVS = 64
+
+
+@runtime_checkable
+class HasCommand(Protocol):
+    """The attribute of an environment that may tell its tracked body what to do."""
+
+    @property
+    def recorded(self) -> Mapping[str, str]:
+        """The entries of `State.info` that are an episode's `command` or `target`, by these names."""
+        ...
 
 
 def random_policy(action_size: int) -> Policy:
@@ -58,6 +68,7 @@ class _Row:
     done: NDArray[np.float32]
     metrics: Mapping[str, NDArray[np.float32]]
     target: NDArray[np.float32] | None = None
+    command: NDArray[np.float32] | None = None
 
 
 class Roller:
@@ -94,7 +105,7 @@ class Roller:
             self._compiled = self._compile(parameters, keys)
         reset, advance = self._compiled
         state: State = reset(keys)
-        start = _observed(state)
+        start = _observed(self._environment, state)
         arenas = {
             name: np.asarray(own) for name in ARENA if (own := state.physics.model.get(name)) is not None
         }
@@ -144,7 +155,7 @@ def initial_positions(
     """The initial qpos [nq] of the first episode of a rollout job with this seed, and its target, if any."""
     key = jax.random.fold_in(jax.random.PRNGKey(seed), 0)
     state = jax.jit(environment.reset)(key)
-    target = state.info.get(TARGET)
+    target = _observed(environment, state).get("target")
     return np.asarray(state.physics.qpos, np.float64), None if target is None else np.asarray(target, float)
 
 
@@ -183,8 +194,12 @@ def cut(episode: Episode, num_steps: int) -> Episode:
     states = ("time", "qpos", "qvel", "position", "observation")
     return replace(
         episode,
-        target=None if episode.target is None else episode.target[: num_steps + 1],
         **{name: getattr(episode, name)[: num_steps + 1] for name in states},
+        **{
+            name: values[: num_steps + 1]
+            for name in ("target", "command", "velocity")
+            if (values := getattr(episode, name)) is not None
+        },
         action=episode.action[:num_steps],
         reward=episode.reward[:num_steps],
         metrics={name: values[:num_steps] for name, values in episode.metrics.items()},
@@ -219,17 +234,20 @@ def _advance(
         action = jax.vmap(policy, (None, 0, 0))(parameters, state, step_keys)
         state = jax.vmap(environment.step)(state, action)
         kept = {"action": action, "reward": state.reward, "done": state.done, "metrics": dict(state.metrics)}
-        return state, kept | _observed(state)
+        return state, kept | _observed(environment, state)
 
     return jax.lax.scan(step, state, taken + jnp.arange(_STEPS_PER_CALL))
 
 
-def _observed(state: State) -> dict[str, jax.Array]:
+def _observed(environment: Environment, state: State) -> dict[str, jax.Array]:
     obs = state.obs
     if isinstance(obs, Mapping):
         obs = obs[POLICY_GROUP]
     seen = {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": obs}
-    return seen | ({"target": state.info[TARGET]} if TARGET in state.info else {})
+    recorded = environment.recorded if isinstance(environment, HasCommand) else {}
+    if TARGET in state.info:
+        recorded = {"target": TARGET, **recorded}
+    return seen | {name: state.info[entry] for name, entry in recorded.items()}
 
 
 def _episode(
@@ -249,6 +267,7 @@ def _episode(
         **states,
         time=np.arange(length + 1, dtype=np.float64) * environment.dt,
         position=_positions(environment, states["qpos"]),
+        velocity=_velocities(environment, states["qpos"], states["qvel"]) if "command" in states else None,
         action=steps["action"][:length],
         reward=steps["reward"][:length],
         terminated=bool(len(ends)),
@@ -265,3 +284,22 @@ def _positions(environment: Environment, qpos: NDArray[np.float32]) -> NDArray[n
         mujoco.mj_kinematics(environment.model, data)
         positions[row] = data.xpos[environment.tracked_body]
     return positions
+
+
+def _velocities(
+    environment: Environment, qpos: NDArray[np.float32], qvel: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """How the tracked body moves in its own frame [T+1, 3]: forward and left in m/s, turn in rad/s."""
+    model = environment.model
+    data = mujoco.MjData(model)
+    turning_and_moving = np.empty(6)
+    velocities = np.empty((len(qpos), 3), np.float32)
+    for row, (positions, rates) in enumerate(zip(qpos, qvel, strict=True)):
+        data.qpos[:], data.qvel[:] = positions, rates
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        body = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(model, data, body, environment.tracked_body, turning_and_moving, 1)
+        velocities[row] = turning_and_moving[[3, 4, 2]]
+    return velocities

@@ -23,7 +23,7 @@ from core.environments.terms import foot_times, history
 from core.environments.terms.actions import ControlAction, JointAction
 from core.environments.terms.actuation import actuation
 from core.environments.terms.binding import bound
-from core.environments.terms.commands import AnyCommand, VelocityCommand
+from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
 from core.environments.terms.describe import height_of, root_of
 from core.environments.terms.feet import feet_of
 from core.environments.terms.foot_times import FIELDS
@@ -232,6 +232,17 @@ class TaskEnv(MujocoEnv):
         if not command.follows:
             return {"command": drawn}
         return {"target": drawn, "command": command.told(drawn, step, self._parts)}
+
+    @property
+    def recorded(self) -> Mapping[str, str]:
+        """See `HasCommand`."""
+        match self._options.command:
+            case VelocityCommand():
+                return {"command": "command"}
+            case PositionCommand():
+                return {"target": "target"}
+            case None:
+                return {}
 
     @property
     def terrain_levels(self) -> TerrainGrid | None:

@@ -32,8 +32,22 @@ _OF_ARENA = (
     ("arena/geom_quat", "[ngeom, 4]", "1", "how they are turned in it, w x y z; where episodes differ in it"),
     ("arena/geom_size", "[ngeom, 3]", "m", "their sizes, as in MuJoCo"),
 )
-# Only if the environment has one.
-_TARGET = ("target", "[T+1, 2 or 3]", "m", "where the tracked body should go, in the world")
+# Only of environments that have them.
+_OPTIONAL = (
+    ("target", "[T+1, 2 or 3]", "m", "where the tracked body should go, in the world"),
+    (
+        "command",
+        "[T+1, 3 to 5]",
+        "m/s, m/s, rad/s, m, rad",
+        "what it is told: forward, left, turn; the height and the pitch, if it is told those",
+    ),
+    (
+        "velocity",
+        "[T+1, 3]",
+        "m/s, m/s, rad/s",
+        "what it does: forward, left and turn in the tracked body's frame; with a command",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -42,8 +56,8 @@ class Episode:
 
     arena: `ARENA` [ngeom, 3 or 4], where episodes differ in the geoms of their arena.
 
-    terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name. target: see
-    `_TARGET`; None if the environment has none.
+    terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name. target, command,
+    velocity: see `_OPTIONAL`; None if the environment has none.
     """
 
     time: NDArray[np.float64]
@@ -56,6 +70,8 @@ class Episode:
     terminated: bool
     metrics: Mapping[str, NDArray[np.float32]] = field(default_factory=dict[str, Any])
     target: NDArray[np.float32] | None = None
+    command: NDArray[np.float32] | None = None
+    velocity: NDArray[np.float32] | None = None
     arena: Mapping[str, NDArray[np.float32]] = field(default_factory=dict[str, Any])
 
     @property
@@ -122,8 +138,10 @@ def _described(*rows: tuple[str, str, str, str]) -> dict[str, dict[str, str]]:
 def save(path: Path, trajectory: Trajectory) -> None:
     """Write one .npz, whole or not at all; equal trajectories give equal bytes. `about` is JSON text."""
     about: dict[str, Any] = {**trajectory.about, "num_episodes": len(trajectory.episodes)}
-    if any(episode.target is not None for episode in trajectory.episodes):
-        about["arrays"] = {**about["arrays"], **_described(_TARGET)}
+    optional = [
+        row for row in _OPTIONAL if any(getattr(one, row[0]) is not None for one in trajectory.episodes)
+    ]
+    about["arrays"] = {**about["arrays"], **_described(*optional)}
     if any(episode.arena for episode in trajectory.episodes):
         about["arrays"] = {**about["arrays"], **_described(*_OF_ARENA)}
     contents: dict[str, Any] = {"about": np.array(json.dumps(about, sort_keys=True))}
@@ -131,8 +149,9 @@ def save(path: Path, trajectory: Trajectory) -> None:
         prefix = f"episode_{number}/"
         contents |= {prefix + name: getattr(episode, name) for name in _FIELDS}
         contents[prefix + "terminated"] = np.array(episode.terminated)
-        if episode.target is not None:
-            contents[prefix + "target"] = episode.target
+        contents |= {
+            prefix + name: values for name, *_ in optional if (values := getattr(episode, name)) is not None
+        }
         contents |= {f"{prefix}arena/{name}": values for name, values in sorted(episode.arena.items())}
         contents |= {f"{prefix}metrics/{name}": values for name, values in sorted(episode.metrics.items())}
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -162,7 +181,7 @@ def _episode(file: Any, prefix: str) -> Episode:
         **{name: file[prefix + name] for name in _FIELDS},
         terminated=bool(file[prefix + "terminated"]),
         metrics={name.removeprefix(metrics): file[name] for name in file.files if name.startswith(metrics)},
-        target=file[prefix + "target"] if prefix + "target" in file.files else None,
+        **{name: file[place] for name, *_ in _OPTIONAL if (place := prefix + name) in file.files},
         arena={name: file[place] for name in ARENA if (place := f"{prefix}arena/{name}") in file.files},
     )
 

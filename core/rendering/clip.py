@@ -94,7 +94,10 @@ def _moments(
 def _of_shot(grid: PictureGrid, shot: Shot, fps: int) -> Iterator[Moment]:
     path = smoothed(grid.path(shot.qpos), fps=fps, spread_s=_CAMERA_SPREAD_S)
     for row, (qpos, look_at) in enumerate(zip(shot.qpos, path, strict=True)):
-        yield Moment(qpos, look_at, None if shot.target is None else shot.target[row], shot.model)
+        target, velocities = (
+            None if values is None else values[row] for values in (shot.target, shot.velocities)
+        )
+        yield Moment(qpos, look_at, target, shot.model, velocities)
 
 
 def _at(pane: Sequence[Moment], number: int) -> Moment:

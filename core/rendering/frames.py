@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.rendering import floor
+from core.rendering import arrows, floor
 from core.rendering.gl import context_works
 from core.rendering.request import Overlay
 from core.rendering.scene import TARGET_BODY, CameraView, Floats, prepare, quality_of
@@ -75,15 +75,20 @@ class MujocoRenderer:
         return self._gl_renderer
 
     def frame(
-        self, qpos: NDArray[np.float64], look_at: Floats | None = None, target: Floats | None = None
+        self,
+        qpos: NDArray[np.float64],
+        look_at: Floats | None = None,
+        target: Floats | None = None,
+        velocities: Floats | None = None,
     ) -> NDArray[np.uint8]:
         """RGB [height, width, 3] of the positions qpos [nq].
 
         look_at: the point [3] in metres that the camera `track` looks at; by default the body itself.
-        target: the point [2 or 3] where the body named `target` stands, if the model has one.
+        target: the point [2 or 3] where the body named `target` stands, if the model has one; else a ball
+        marks it. velocities: [2, 3], what the tracked body is told and what it does; see `EpisodeMotion`.
         """
-        if target is not None:
-            self._put_target(target)
+        has_mark = target is None or self._put_target(target)
+        mark = target
         self._place(qpos)
         target = self.target() if look_at is None else look_at
         eye: Any = self._follow(target) if self._camera is None else self._camera
@@ -102,6 +107,10 @@ class MujocoRenderer:
             floor.lay(scene, self._view.floor, target, self._view.radius)
         if not self._has_sky:
             self._hang_backdrop(target)
+        if velocities is not None and (body := self._view.body) is not None:
+            arrows.add(scene, self._view, self._data.xpos[body], self._data.xmat[body], velocities)
+        if mark is not None and not has_mark:
+            arrows.mark(scene, self._view, mark)
         return self._renderer.render()
 
     def change_model(self, fields: ModelFields) -> None:
@@ -133,11 +142,12 @@ class MujocoRenderer:
     ) -> None:
         self.close()
 
-    def _put_target(self, target: Floats) -> None:
-        """Move the model's target to where it was in the episode's environment."""
+    def _put_target(self, target: Floats) -> bool:
+        """Move the model's target to where it was in the episode's environment; whether it has one."""
         number = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, TARGET_BODY)
         if number > 0 and self._model.body_parentid[number] == 0:
             self._model.body_pos[number, : len(target)] = target
+        return number > 0
 
     def _place(self, qpos: Floats) -> None:
         self._data.qpos[:] = qpos

@@ -19,10 +19,10 @@ TARGET_BODY = "target"
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader")
 _FLOOR_COLOURS = (floor.DARK, floor.LIGHT)
 # Translucent, so that a body that has reached it is still seen. Its size is a share of the body's.
-_TARGET_COLOUR, _TARGET_SHARE = (0.86, 0.24, 0.18, 0.7), 0.07
+TARGET_COLOUR, TARGET_SHARE = (0.86, 0.24, 0.18, 0.7), 0.07
 # Sizes of what is drawn besides the body, as shares of the body's: long enough to stick out of it.
 _JOINT_LENGTH, _JOINT_WIDTH, _CONTACT_WIDTH, _CONTACT_HEIGHT, _CENTRE = 0.3, 0.03, 0.07, 0.015, 0.06
-_SKY_COLOURS = ((0.80, 0.88, 0.96), (0.36, 0.54, 0.78))
+SKY_COLOURS = ((0.80, 0.88, 0.96), (0.36, 0.54, 0.78))
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,7 @@ class CameraView:
 
     body: the body that it follows; None if the body cannot leave its place, and the camera looks at `centre`.
     floor: height in metres of a floor that is drawn because the model has none; None to draw none.
+    top: how far above the body there is room for what is drawn over its tree, in metres.
     """
 
     azimuth: float
@@ -54,6 +55,7 @@ class CameraView:
     centre: Floats
     body: int | None
     floor: float | None
+    top: float
 
 
 def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> CameraView:
@@ -73,7 +75,11 @@ def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> CameraView
     radius = _radius(model, data, root, centre)
     azimuth, elevation = _angles(model, root)
     ground = floor.floor_below(model, root, centre, radius)
-    return CameraView(azimuth, elevation, 3.4 * radius, radius, centre, body if travels else None, ground)
+    # No more than a picture shows above the body.
+    top = min(_highest(model, data, root) - float(data.xpos[body, 2]), radius)
+    return CameraView(
+        azimuth, elevation, 3.4 * radius, radius, centre, body if travels else None, ground, top
+    )
 
 
 def prepare(model: mujoco.MjModel, view: CameraView, quality: Quality, *, width: int, height: int) -> None:
@@ -89,7 +95,7 @@ def prepare(model: mujoco.MjModel, view: CameraView, quality: Quality, *, width:
     floor.without_end(model)
     _light(model)
     _recolour(model)
-    _mark_target(model, _TARGET_SHARE * view.radius)
+    _mark_target(model, TARGET_SHARE * view.radius)
 
 
 def _travels(model: mujoco.MjModel, root: int) -> bool:
@@ -117,6 +123,15 @@ def _radius(model: mujoco.MjModel, data: mujoco.MjData, root: int, centre: Float
     return float(reach.max())
 
 
+def _highest(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> float:
+    """The height of the tree's highest point, as boxes around its geoms have it."""
+    own = np.flatnonzero((model.body_rootid[model.geom_bodyid] == root) & (model.geom_rgba[:, 3] > 0))
+    turns = data.geom_xmat[own].reshape(-1, 3, 3)[:, 2]
+    boxes = model.geom_aabb[own].reshape(-1, 2, 3)
+    tops = data.geom_xpos[own, 2] + (turns * boxes[:, 0] + np.abs(turns) * boxes[:, 1]).sum(axis=1)
+    return float(tops.max(initial=data.xpos[root, 2]))
+
+
 def _size_overlays(model: mujoco.MjModel, radius: float) -> None:
     """MuJoCo sizes them by the model's mean size, in which a large arena or tiny parts weigh as well: make
     them no smaller than shares of the body."""
@@ -135,6 +150,8 @@ def _light(model: mujoco.MjModel) -> None:
     direction = np.array([0.35, 0.35, -1.0]) / np.linalg.norm([0.35, 0.35, -1.0])
     model.light_dir[overhead] = model.light_dir0[overhead] = direction  # dir0: if it tracks a body
     model.light_type[overhead] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    if not model.light_castshadow.any():
+        model.light_castshadow[overhead] = 1  # Without a shadow a foot on the ground looks like one above it.
     model.vis.headlight.ambient[:] = 0.35
     model.vis.headlight.diffuse[:] = 0.35
     model.vis.headlight.specular[:] = 0.1
@@ -148,7 +165,7 @@ def _recolour(model: mujoco.MjModel) -> None:
         if pixels.shape[-1] != 3:
             continue
         if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX and flat.min(axis=0).max() < 8:
-            _remap(flat, *_SKY_COLOURS)
+            _remap(flat, *SKY_COLOURS)
         elif model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D and _is_grey_checker(flat):
             _remap(flat, *_FLOOR_COLOURS)
             _undim(model, texture)
@@ -164,7 +181,7 @@ def _mark_target(model: mujoco.MjModel, radius: float) -> None:
     others = model.geom_rgba[plain & ~own]
     for geom in np.flatnonzero(own & (model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)):
         if (others == model.geom_rgba[geom]).all(axis=1).any():
-            model.geom_rgba[geom] = _TARGET_COLOUR
+            model.geom_rgba[geom] = TARGET_COLOUR
             model.geom_size[geom, 0] = max(model.geom_size[geom, 0], radius)
 
 

@@ -14,12 +14,17 @@ Floats = NDArray[np.float64]
 @dataclass(frozen=True)
 class EpisodeMotion:
     """One episode: time [T] in seconds, strictly rising, positions [T, nq], a target [T, 2 or 3] if any, and
-    fields of the model that it has for itself."""
+    fields of the model that it has for itself.
+
+    velocities: [T, 2, 3], what the tracked body is told and what it does, each forward and left in m/s and
+    turn in rad/s, in its own frame; None if it is told no velocity.
+    """
 
     time: Floats
     qpos: Floats
     target: Floats | None = None
     model: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict[str, Any])
+    velocities: Floats | None = None
 
     @property
     def duration_s(self) -> float:
@@ -28,12 +33,13 @@ class EpisodeMotion:
 
 @dataclass(frozen=True)
 class Shot:
-    """The frames of one episode: positions [N, nq], a target [N, 2 or 3] if any, its own fields of the model.
-    The picture cuts between two shots."""
+    """The frames of one episode: positions [N, nq], a target [N, 2 or 3] if any, its own fields of the model,
+    velocities [N, 2, 3] if any; see `EpisodeMotion`. The picture cuts between two shots."""
 
     qpos: Floats
     target: Floats | None = None
     model: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict[str, Any])
+    velocities: Floats | None = None
 
 
 def shots(
@@ -52,14 +58,20 @@ def shots(
     for index, motion in enumerate(motions):
         own = moments[owner == index] - starts[index] + motion.time[0]
         if own.size:
-            yield Shot(interpolate(model, motion, own), _held(motion, own), motion.model)
+            held = np.searchsorted(motion.time, own + 1e-9, side="right") - 1
+            target, velocities = (
+                None if values is None else values[held] for values in (motion.target, motion.velocities)
+            )
+            yield Shot(interpolate(model, motion, own), target, motion.model, velocities)
 
 
-def _held(motion: EpisodeMotion, moments: Floats) -> Floats | None:
-    """The target [N, 2 or 3] at `moments` [N], held from the step before."""
-    if motion.target is None:
-        return None
-    return motion.target[np.searchsorted(motion.time, moments + 1e-9, side="right") - 1]
+def calmed(time: Floats, values: Floats, *, spread_s: float) -> Floats:
+    """The values [T, ...] averaged over what came before, with weights that fall by e in `spread_s` s."""
+    means = values.copy()
+    for row in range(1, len(values)):
+        share = -np.expm1(-(time[row] - time[row - 1]) / spread_s)
+        means[row] = means[row - 1] + share * (values[row] - means[row - 1])
+    return means
 
 
 def interpolate(model: mujoco.MjModel, motion: EpisodeMotion, moments: Floats) -> Floats:

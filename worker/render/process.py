@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from core.rendering.timeline import EpisodeMotion
 
 NO_GL, BAD_REQUEST = 3, 4
+# A measured velocity swings with each step of a gait: this is its mean, as on the drive page.
+_CALM_S = 0.3
 
 
 def main(arguments: list[str]) -> int:
@@ -57,13 +59,20 @@ def _answer(answer: RenderResult | RenderFailure, status: int) -> int:
 
 def motion_of(episode: "Episode") -> "EpisodeMotion":
     """The part of an episode that is drawn."""
-    from core.rendering.timeline import EpisodeMotion
+    import numpy as np
 
+    from core.rendering.timeline import EpisodeMotion, calmed
+
+    velocities = None
+    if episode.command is not None and episode.velocity is not None:
+        measured = calmed(episode.time, episode.velocity.astype("float64"), spread_s=_CALM_S)
+        velocities = np.stack([episode.command[:, :3].astype("float64"), measured], axis=1)
     return EpisodeMotion(
         episode.time,
         episode.qpos.astype("float64"),
         None if episode.target is None else episode.target.astype("float64"),
         episode.arena,
+        velocities,
     )
 
 

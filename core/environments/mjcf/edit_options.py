@@ -16,10 +16,10 @@ HOME = "home"
 _PER_EFFORT, _DAMPING_S = 2.0, 0.04
 
 
-def floor_name(geoms: Sequence[str]) -> str:
-    """The name of a floor that is added to these geoms."""
+def floor_name(names: Sequence[str], wanted: str = "floor") -> str:
+    """The name of a floor that is added to geoms with these names; or of what else is wanted."""
     return next(
-        name for name in ("floor", *(f"floor {n + 2}" for n in range(len(geoms)))) if name not in geoms
+        name for name in (wanted, *(f"{wanted} {n + 2}" for n in range(len(names)))) if name not in names
     )
 
 

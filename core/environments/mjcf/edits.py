@@ -26,6 +26,7 @@ from core.errors import JobFailed
 from core.physics.compiled.coverage import uncovered
 from core.physics.model import initial_qpos
 from core.reasons import Reason
+from core.rendering import floor, scene
 
 _DRIVEN = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _ON_A_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
@@ -106,15 +107,48 @@ def without_drawings(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjSpe
 
 
 def add_floor(spec: mujoco.MjSpec) -> None:
-    """Add a plane at height 0 if nothing of the world can be touched."""
+    """Add a plane at height 0, with tiles of 0.5 m, if nothing of the world can be touched."""
     if any(_can_touch(geom) for geom in spec.geoms if _is_fixed(geom.parent)):
         return
+    look = _stage(spec)
     spec.worldbody.add_geom(
         name=floor_name([geom.name for geom in spec.geoms]),
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 0.05],
-        rgba=[0.8, 0.85, 0.9, 1],
+        material=look.name,
     )
+
+
+def _stage(spec: mujoco.MjSpec) -> Any:
+    """The material of a floor's tiles. Adds a sky and a light where there are none."""
+    texture = mujoco.mjtTexture
+    if all(one.type != texture.mjTEXTURE_SKYBOX for one in spec.textures):
+        high, low = scene.SKY_COLOURS
+        gradient = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+        spec.add_texture(
+            name=floor_name([one.name for one in spec.textures], "sky"),
+            type=texture.mjTEXTURE_SKYBOX,
+            builtin=gradient,
+            rgb1=high,
+            rgb2=low,
+            width=64,
+            height=384,
+        )
+    if not list(spec.lights):
+        spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 4], dir=[0, 0, -1])
+    tiles = spec.add_texture(
+        name=floor_name([one.name for one in spec.textures]),
+        type=texture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=floor.DARK,
+        rgb2=floor.LIGHT,
+        width=64,
+        height=64,
+    )
+    name = floor_name([one.name for one in spec.materials])
+    look = spec.add_material(name=name, texrepeat=[2, 2], texuniform=True, specular=0.1)
+    look.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = tiles.name
+    return look
 
 
 def collide(spec: mujoco.MjSpec, wanted: Collide, feet: Patterns) -> None:

@@ -63,9 +63,11 @@ def poses(model: mujoco.MjModel, motion: EpisodeMotion) -> EpisodePoses:
     """The poses of an episode, at most some 60 frames a second, the last state among them."""
     rows = frame_rows(motion.time)
     frames = list(_frames(model, motion, rows))
-    return EpisodePoses(
-        *_packed(motion.time[rows] - motion.time[0], frames), parts=_changed_parts(model, motion)
-    )
+    arrays, scale_m = _packed(motion.time[rows] - motion.time[0], frames)
+    if motion.velocities is not None:
+        told, measured = np.moveaxis(motion.velocities[rows], 1, 0).astype(np.float32)
+        arrays |= {"command": told, "velocity": measured}
+    return EpisodePoses(arrays, scale_m, parts=_changed_parts(model, motion))
 
 
 def frame_rows(time: Floats) -> NDArray[np.int64]:

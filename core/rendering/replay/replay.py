@@ -74,6 +74,7 @@ def _about(model: mujoco.MjModel, view: CameraView, tracked_body: int) -> dict[s
             "elevation": view.elevation,
             "distance": view.distance,
             "radius": view.radius,
+            "top": view.top,
             "centre": view.centre.tolist(),
             "follows": view.body is not None,
             "fovy": float(model.vis.global_.fovy),

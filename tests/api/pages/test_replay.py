@@ -17,7 +17,11 @@ from tests.api.pages.conftest import MakeTab, Tab
 from tests.unit.rendering.replay.models import ARM, model_of, rolling
 
 MODEL = model_of(ARM)
-MOTION = rolling(target=np.stack([np.linspace(0.5, 1.5, 41), np.full(41, -0.8)], axis=1))
+# It is told to walk on, and turns to the left beside that.
+VELOCITIES = np.tile(np.array([[1.0, 0.0, 0.0], [0.9, 0.0, 1.25]]), (41, 1, 1))
+MOTION = rolling(
+    target=np.stack([np.linspace(0.5, 1.5, 41), np.full(41, -0.8)], axis=1), velocities=VELOCITIES
+)
 FACTS = {"num_steps": 40, "duration_s": 1.0, "terminated": False}
 
 
@@ -79,6 +83,7 @@ def test_the_address_names_the_moment_and_controls_change_it(
     expect(moment).to_have_attribute("aria-valuetext", "0.50 s")
     # After 20 of 40 steps with a reward of 0.5 each.
     expect(page.get_by_text("0.50 s of 1.00 s · return 10.0")).to_be_visible()
+    expect(page.get_by_role("row", name="turn, rad/s 0.00 1.25")).to_be_visible()
     tab.picture("replay-ball")
     moment.fill("0.8")
     expect(page.get_by_text("0.80 s of 1.00 s · return 16.0")).to_be_visible()

@@ -84,6 +84,49 @@ def test_where_an_environment_says_its_target_it_is_kept_with_every_state() -> N
     assert initial_positions(probes.endless(), seed=0)[1] is None
 
 
+@dataclass(frozen=True)
+class _Told(Wrapped):
+    """A ball that faces along y, goes there by 1 m/s and turns; what it is told changes in each step."""
+
+    dt = 1.0
+    episode_length = 8
+    tracked_body = 1
+    recorded = {"command": "told"}
+    ball = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+    )
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        return self.ball
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        state = self.environment.reset(key, model)
+        half = np.sqrt(0.5)
+        physics = replace(
+            state.physics,
+            qpos=jnp.array([0, 0, 0, half, 0, 0, half]),
+            qvel=jnp.array([0, 1.0, 0, 0, 0, 0.5]),
+        )
+        return replace(state, physics=physics, info={"told": jnp.array([1.0, 0.0, 0.25])})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return replace(self.environment.step(state, action), info={"told": state.info["told"] + 1.0})
+
+
+def test_what_an_environment_tells_is_kept_beside_what_its_body_does() -> None:
+    [episode] = rollout(
+        _Told(probes.endless()), zero_policy(1), key=KEY, num_steps=2, num_episodes=1
+    ).episodes
+    np.testing.assert_array_equal(episode.command, [[1, 0, 0.25], [2, 1, 1.25], [3, 2, 2.25]])
+    # In its own frame it goes forward, and turns to the left.
+    np.testing.assert_allclose(episode.velocity, np.tile([1, 0, 0.5], (3, 1)), atol=1e-6)
+    shorter = cut(episode, 1)
+    assert shorter.command is not None
+    assert shorter.velocity is not None
+    assert len(shorter.command) == len(shorter.velocity) == 2
+
+
 def test_random_actions_fill_the_range_and_depend_on_the_key_alone() -> None:
     roller = Roller(probes.endless(), lambda _, observation, key: random_policy(1)(observation, key))
     first, again = (next(roller.episodes(None, KEY, num_steps=200, num_episodes=1)) for _ in range(2))

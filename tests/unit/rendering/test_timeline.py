@@ -2,7 +2,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.rendering.timeline import EpisodeMotion, interpolate, shots, smoothed
+from core.rendering.timeline import EpisodeMotion, calmed, interpolate, shots, smoothed
 
 FREE_BODY = """
 <mujoco><worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>
@@ -56,6 +56,18 @@ def test_rotations_take_the_shortest_arc(model: mujoco.MjModel) -> None:
 def test_a_steady_walk_is_followed_without_lag() -> None:
     steady = np.outer(np.arange(60) / 30.0, [3.0, 0.0, 0.0])
     np.testing.assert_allclose(smoothed(steady, fps=30, spread_s=0.4), steady, atol=1e-9)
+
+
+def test_a_mean_of_what_came_before_keeps_what_is_steady_and_calms_what_swings() -> None:
+    time = 0.02 * np.arange(501)
+    speed = np.stack([np.full(501, 0.5), 0.5 + np.sin(2 * np.pi * 2.5 * time)], axis=1)
+    calm = calmed(time, speed, spread_s=0.3)
+    np.testing.assert_allclose(calm[:, 0], 0.5)
+    # A filter of first order divides a swing of 2.5 Hz by 2π · 2.5 Hz · 0.3 s = 4.7.
+    assert np.abs(calm[300:, 1] - 0.5).max() < 1 / 4.5
+    # After one time constant, 1 - 1/e of a change.
+    changed = calmed(time, (time > 0).astype(float), spread_s=0.3)
+    np.testing.assert_allclose(changed[15], 1 - np.exp(-1))
 
 
 def test_the_steps_of_a_walk_do_not_shake_the_camera() -> None:

@@ -51,7 +51,7 @@ export class Figure {
   #showVelocities(time) {
     const velocities = this.motion.velocities(time);
     if (!velocities || this.tracked < 0) return;
-    this.velocities ||= new VelocityArrows(this.world, this.about.view.radius);
+    this.velocities ||= new VelocityArrows(this.world, this.about.view);
     const { position, quaternion: { w, x, y, z } } = this.bodies[this.tracked];
     this.velocities.show(position.toArray(), [w, x, y, z], velocities.commanded, velocities.measured);
   }

@@ -1,6 +1,7 @@
 /** A stage with its controls: play, scrub, speed, camera, and what is shown. */
 
 import { html, useEffect, useRef, useState } from "../../lib/html.js";
+import { Speeds } from "./speeds.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const FRAME_S = 1 / 50;
@@ -125,6 +126,7 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
           aria-valuetext="${time.toFixed(2)} s" onInput=${(event) => scrub(Number(event.target.value))} />
       </label>
     </div>
+    ${shown.episodes.length === 1 && shown.episodes[0].command && html`<${Speeds} ...${velocities(shown.episodes[0], time)} />`}
     <div class="tools" role="group" aria-label="How the replay is shown">
       ${children}
       <label>Speed
@@ -147,9 +149,15 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
 
 /** The return of each episode until a moment. */
 function returns(episodes, time) {
-  const found = episodes.map((episode) => {
-    const frame = episode.time.findLastIndex((at) => at <= time + 1e-6);
-    return episode.return[Math.max(frame, 0)].toFixed(1);
-  });
+  const found = episodes.map((episode) => episode.return[frameAt(episode, time)].toFixed(1));
   return found.length > 4 ? "" : ` · return ${found.join(", ")}`;
 }
+
+/** The velocities of an episode's command and body at a moment. */
+function velocities({ command, velocity, time: times }, time) {
+  const first = 3 * frameAt({ time: times }, time);
+  const [commanded, measured] = [command, velocity].map((values) => [...values.subarray(first, first + 3)]);
+  return { commanded, measured };
+}
+
+const frameAt = (episode, time) => Math.max(episode.time.findLastIndex((at) => at <= time + 1e-6), 0);

@@ -2,6 +2,7 @@
 
 import { count } from "../../lib/format.js";
 import { html, useEffect, useRef, useState } from "../../lib/html.js";
+import { Speeds } from "./speeds.js";
 
 const PUSH_MS = 200;
 const LONGEST_PICTURE_MS = 500; // After a longer break nothing was drawn.
@@ -191,14 +192,4 @@ function Pad({ isReady, steering }) {
       onPointerDown=${take} onPointerUp=${release} onPointerCancel=${release} onBlur=${release} onContextMenu=${(event) => event.preventDefault()}
       onKeyDown=${(event) => isPress(event) && (event.preventDefault(), press())} onKeyUp=${release}>${sign}</button>`;
   })}</div>`;
-}
-
-/** What the body is told and what it does, in numbers. */
-function Speeds({ ranges, commanded, measured }) {
-  return html`<table class="speeds">
-    <thead><tr><th scope="col">Velocity</th><th scope="col" class="commanded">Command</th><th scope="col" class="measured">Measured</th></tr></thead>
-    <tbody>${ranges.slice(0, 3).map(({ name, unit, low, high }, i) => html`<tr key=${name} title="Trained from ${low} to ${high} ${unit}">
-      <th scope="row">${name}, ${unit}</th><td>${commanded[i].toFixed(2)}</td><td>${measured[i].toFixed(2)}</td>
-    </tr>`)}</tbody>
-  </table>`;
 }

@@ -54,6 +54,16 @@ def test_the_target_is_where_the_episode_has_it_at_the_height_of_the_model() -> 
     assert model.body("target").pos[0] == 0.0  # The caller's model is as it was.
 
 
+def test_what_the_body_is_told_and_does_is_kept_for_each_frame() -> None:
+    velocities = np.arange(41 * 6.0).reshape(41, 2, 3)
+    motion = rolling(velocities=velocities)
+    arrays, rows = poses(model_of(ARM), motion).arrays, frame_rows(motion.time)
+    np.testing.assert_array_equal(arrays["command"], velocities[rows, 0])
+    np.testing.assert_array_equal(arrays["velocity"], velocities[rows, 1])
+    assert arrays["command"].dtype == np.float32
+    assert not {"command", "velocity"} & poses(model_of(ARM), rolling()).arrays.keys()
+
+
 def test_a_target_that_joints_move_is_a_body_like_others() -> None:
     slide = '<body name="target" pos="0 0 0.25"><joint type="slide" axis="1 0 0"/>'
     model = model_of(ARM.replace('<body name="target" pos="0 0 0.25">', slide))
