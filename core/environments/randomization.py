@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
+from core.environments.patterns import PATTERNS, Pattern
 
 FieldName = Literal[
     "actuator_biasprm",
@@ -15,6 +16,7 @@ FieldName = Literal[
     "actuator_gainprm",
     "actuator_gear",
     "body_inertia",
+    "body_ipos",
     "body_mass",
     "dof_armature",
     "dof_damping",
@@ -50,6 +52,7 @@ FIELDS: dict[FieldName, FieldInfo] = {
     "actuator_gainprm": FieldInfo("actuator", 10),
     "actuator_gear": FieldInfo("actuator", 6, changes_constants=True),
     "body_inertia": FieldInfo("body", 3, positive=True, changes_constants=True),
+    "body_ipos": FieldInfo("body", 3, changes_constants=True),
     "body_mass": FieldInfo("body", positive=True, changes_constants=True),
     "dof_armature": FieldInfo("joint", positive=True, changes_constants=True),
     "dof_damping": FieldInfo("joint", positive=True),
@@ -71,11 +74,11 @@ class Randomization(Strict):
     field: FieldName = Field(
         description="A field of the model, by MuJoCo's name.", examples=["geom_friction"]
     )
-    names: list[Name] | None = Field(
+    names: list[Pattern] | None = Field(
         default=None,
         min_length=1,
         max_length=1000,
-        description="Which geoms, bodies, joints or actuators; null: all that the model has.",
+        description=f"Which geoms, bodies, joints or actuators; null: all that the model has. {PATTERNS}",
     )
     axis: int | None = Field(
         default=None,
@@ -93,6 +96,10 @@ class Randomization(Strict):
     distribution: Literal["uniform", "log_uniform"] = "uniform"
     each: bool = Field(
         default=False, description="Draw a number for each of the names, instead of one for all of them."
+    )
+    recompute_inertia: bool = Field(
+        default=False,
+        description="Of `body_mass`: the body's inertia changes in the same ratio, as if its density did.",
     )
     draw: Name | None = Field(
         default=None,
@@ -117,7 +124,14 @@ class Randomization(Strict):
             raise ValueError(f"axis = {self.axis}, but {self.field} has {numbers}, counted from 0")
         if about.kind is None and (self.names or self.each):
             raise ValueError(f"{self.field} belongs to the whole model; it takes neither names nor each")
+        if self.recompute_inertia and self.field != "body_mass":
+            raise ValueError(f"recompute_inertia goes with body_mass, not with {self.field}")
         return self
+
+    @property
+    def fields(self) -> list[FieldName]:
+        """All that it changes."""
+        return [self.field, *(["body_inertia"] if self.recompute_inertia else [])]
 
 
 Randomizations = Annotated[list[Randomization], Field(max_length=64)]

@@ -84,7 +84,7 @@ def _check_randomization(spec: JobSpec, job: ResolvedJob) -> None:
         raise Rejected(detail, [Problem("/randomization", detail)])
     if not isinstance(spec, TrainSpec) or not isinstance(job.options, TaskOptions):
         return
-    fields = {rule.field for rule in spec.randomization}
+    fields = {name for rule in spec.randomization for name in rule.fields}
     for number, term in enumerate(job.options.critic or ()):
         if isinstance(term, Randomized) and term.field not in fields:
             detail = f"No rule of `randomization` changes {term.field}, so the critic would always see 0."
@@ -217,7 +217,9 @@ def _check_engine(spec: TrainSpec, source: Job) -> None:
 
 def _check_fields(spec: TrainSpec, source: Job) -> None:
     """A checkpoint holds the randomized fields, so these must stay the same; their ranges may change."""
-    had, has = (sorted({rule.field for rule in one.randomization}) for one in (source.spec, spec))
+    had, has = (
+        sorted({name for rule in one.randomization for name in rule.fields}) for one in (source.spec, spec)
+    )
     if had != has:
         detail = (
             f"The checkpoint's job randomizes {', '.join(had) or 'nothing'}, this one "

@@ -42,6 +42,7 @@ MODEL_FIELDS = (
     "actuator_gear",
     "body_inertia",
     "body_invweight0",
+    "body_ipos",
     "body_mass",
     "body_pos",
     "body_quat",
@@ -61,7 +62,8 @@ MODEL_FIELDS = (
     "opt.gravity",
     "tendon_invweight0",
 )
-# What `mj_setConst` derives from masses, inertias, armatures, gears and the positions of bodies.
+# What `mj_setConst` derives from masses, their centres, inertias, armatures, gears and the positions of
+# bodies.
 CONSTANTS = ("actuator_acc0", "body_invweight0", "body_subtreemass", "dof_invweight0", "tendon_invweight0")
 
 ModelFields = Mapping[str, jax.Array]

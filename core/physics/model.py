@@ -1,6 +1,7 @@
 """Loading models, changing them before they are stepped, and keeping their numbers in full precision."""
 
 import copy
+from collections.abc import Collection
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -109,6 +110,21 @@ def with_solver_of_compiled(model: mujoco.MjModel, settings: "SolverSettings | N
     """A copy of the model as `compiled` steps it."""
     own = settings.compiled if settings is not None else None
     return with_enough_iterations(model, own or settings)
+
+
+def with_loose_frames(model: mujoco.MjModel, own: Collection[str]) -> mujoco.MjModel:
+    """A copy of the model that has nothing which was computed from places that environments have for
+    themselves; the model itself if they have none. own: the names of their fields."""
+    has_centres = "body_ipos" in own
+    if not has_centres and not set(GEOMETRY).intersection(own):
+        return model
+    loose, apart = copy.copy(model), mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    # It looks at each body's tree of boxes, which is about the centre of mass.
+    loose.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+    loose.geom_sameframe[:] = apart
+    if has_centres:
+        loose.body_sameframe[:] = loose.site_sameframe[:] = apart
+    return loose
 
 
 def model_field(model: Any, name: str) -> Any:

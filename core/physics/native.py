@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from core.devices import num_cores
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
 from core.physics.host_call import Floats, host_call
-from core.physics.model import GEOMETRY, in_parts, of_parts
+from core.physics.model import in_parts, of_parts, with_loose_frames
 
 _Move = Callable[[Batch, NDArray[np.intp] | None], None]
 
@@ -142,23 +142,13 @@ class _Batches:
         # A later call would have to undo what `expand` did, so each set of fields has its own Batch.
         key = (num_envs, own_fields)
         if key not in self._batches:
-            model = _with_loose_geoms(self._model) if own_fields.intersection(GEOMETRY) else self._model
+            model = with_loose_frames(self._model, own_fields)
             self._batches[key] = Batch(model, num_envs, nthread=min(num_envs, num_cores()))
         return self._batches[key]
 
 
 def _rounded(values: NDArray[np.float64]) -> Floats:
     return values.astype(np.float32)
-
-
-def _with_loose_geoms(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy of the model that has nothing which was computed from the places of its geoms."""
-    loose = copy.copy(model)
-    loose.opt.disableflags |= int(
-        mujoco.mjtDisableBit.mjDSBL_MIDPHASE
-    )  # It looks at each body's tree of boxes.
-    loose.geom_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-    return loose
 
 
 def _broken(batch: Batch, move: _Move) -> NDArray[np.bool_]:

@@ -28,6 +28,7 @@ BODY = """
     <body name="ball" pos="0 0 0.1">
       <freejoint/>
       <geom name="ball" type="sphere" size="0.1"/>
+      <site name="ball"/>
       <body name="arm" pos="0.1 0 0">
         <joint name="hinge" axis="0 1 0" damping="0.2" frictionloss="0.05" armature="0.01" limited="true"
                range="-60 60"/>
@@ -55,6 +56,10 @@ def _rounder(model: mujoco.MjModel) -> None:
     model.body_inertia[1:] *= 3
 
 
+def _off_centre(model: mujoco.MjModel) -> None:
+    model.body_ipos[1:] += [[0.02, 0.01, 0.03], [0.05, -0.02, 0.01]]
+
+
 def _elsewhere(model: mujoco.MjModel) -> None:
     model.body_pos[2] += [0.05, 0.02, 0.03]
 
@@ -80,6 +85,7 @@ CHANGES: Mapping[str, Callable[[mujoco.MjModel], None]] = {
     "opt.gravity": _slower,
     "body_mass": _heavier,
     "body_inertia": _rounder,
+    "body_ipos": _off_centre,
     "body_pos": _elsewhere,
     "body_quat": _turned,
     "dof_armature": _scaled("dof_armature", 4),
@@ -119,7 +125,7 @@ MODELS = {name: changed(name) for name in CHANGES}
 QPOS = np.array([0, 0, 0.099, 1, 0, 0, 0, 0.1], np.float32)
 QVEL = np.array([1, 0.5, 0, 0, 0, 0, 0.5], np.float32)
 CTRL = np.array([0.8], np.float32)
-DERIVED = ("cinert", "subtree_com", "xpos")
+DERIVED = ("cinert", "site_xpos", "subtree_com", "xpos")
 
 
 def fields_of(models: list[mujoco.MjModel]) -> dict[str, Any]:

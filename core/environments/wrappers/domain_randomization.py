@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from core.environments.environment import Environment, State, Wrapped
 from core.environments.model_rows import object_names, rows_of
+from core.environments.patterns import matching
 from core.environments.randomization import FIELDS, FieldName, Randomization
 from core.errors import JobFailed
 from core.physics.engine import CONSTANTS, NOMINAL, ModelFields
@@ -61,14 +62,17 @@ def draw_models(model: mujoco.MjModel, rules: Sequence[Randomization]) -> dict[s
 
     Rules are applied one after the other, so two may change the same numbers. Raises like `randomize`.
     """
+    names: list[FieldName] = [name for rule in rules for name in rule.fields]
     fields: dict[FieldName, _Floats] = {
-        rule.field: np.repeat(
-            np.asarray(model_field(model, rule.field), np.float64)[None], NUM_MODELS, axis=0
-        )
-        for rule in rules
+        name: np.repeat(np.asarray(model_field(model, name), np.float64)[None], NUM_MODELS, axis=0)
+        for name in names
     }
     for number, rule in enumerate(rules):
+        before = fields[rule.field].copy()
         _apply(model, fields[rule.field], rule, seed=rule.draw or f"{number}")
+        if rule.recompute_inertia:
+            ratio = fields[rule.field] / np.where(before > 0, before, 1.0)
+            fields["body_inertia"] *= np.where(before > 0, ratio, 1.0)[..., None]
     for name, values in fields.items():
         _check(model, name, values)
     derives = any(FIELDS[name].changes_constants for name in fields)
@@ -113,17 +117,22 @@ def _rows(model: mujoco.MjModel, rule: Randomization) -> tuple[NDArray[np.intp],
     if kind is None:
         return np.zeros(1, np.intp), np.zeros(1, np.intp)
     known = object_names(model, kind)
-    objects = range(len(known)) if rule.names is None else [_find(kind, name, known) for name in rule.names]
+    objects = range(len(known)) if rule.names is None else _found(kind, rule.names, known)
     rows = [row for one in objects for row in rows_of(model, rule.field, one)]
     owners = [number for number, one in enumerate(objects) for _ in rows_of(model, rule.field, one)]
     return np.array(rows, np.intp), np.array(owners, np.intp) * rule.each
 
 
-def _find(kind: str, name: str, known: Sequence[str]) -> int:
-    if name in known:
-        return known.index(name)
-    named = ", ".join(filter(None, known)) or "none with a name"
-    raise _bad(f"randomization: the model has no {kind} {name!r}; there are {named}.")
+def _found(kind: str, patterns: Sequence[str], known: Sequence[str]) -> Sequence[int]:
+    """The numbers of the objects with these names, or whose names these patterns match, in turn."""
+    chosen = dict[str, None]()
+    for pattern in patterns:
+        names = [pattern] if pattern in known else matching([pattern], known)
+        if not names:
+            named = ", ".join(filter(None, known)) or "none with a name"
+            raise _bad(f"randomization: the model has no {kind} {pattern!r}; there are {named}.")
+        chosen |= dict.fromkeys(names)
+    return list(map(known.index, chosen))
 
 
 def _check(model: mujoco.MjModel, name: FieldName, values: _Floats) -> None:
@@ -134,6 +143,13 @@ def _check(model: mujoco.MjModel, name: FieldName, values: _Floats) -> None:
         and (values[:, np.asarray(model_field(model, name)) > 0] <= 0).any()
     ):
         raise _bad(f"randomization: {name} becomes 0 in some environments; such a body could not be stepped.")
+    if name == "body_ipos":
+        for body in np.flatnonzero((values != model.body_ipos).any(axis=(0, 2)) & _is_simple(model)).tolist():
+            raise _bad(
+                f"randomization: the body {model.body(body).name!r} moves alone, with its centre of mass in "
+                "its origin, so MuJoCo has no room for the inertia that another centre brings: move the "
+                "centre in the model, too."
+            )
     if name == "dof_frictionloss" and values[:, model.dof_frictionloss == 0].any():
         raise _bad(
             "randomization: some of these joints have no dof_frictionloss in the model, and engines make "
@@ -151,6 +167,11 @@ def _constants(model: mujoco.MjModel, fields: Mapping[FieldName, _Floats]) -> di
         mujoco.mj_setConst(scratch, data)
         rows.append({name: np.array(model_field(scratch, name)) for name in CONSTANTS})
     return {name: np.stack([row[name] for row in rows]) for name in CONSTANTS}
+
+
+def _is_simple(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """[nbody]: those for whose matrix of inertia MuJoCo has room on its diagonal alone."""
+    return (model.body_simple != 0) & (model.body_dofnum > 1)
 
 
 def _bad(detail: str) -> JobFailed:

@@ -90,7 +90,7 @@ class Scene:
             case objects.mjOBJ_XBODY:
                 return Frame(number, [0.0] * 3, [1.0, 0.0, 0.0, 0.0])
             case objects.mjOBJ_BODY:
-                return _frame(number, model.body_ipos[number], model.body_iquat[number])
+                return _frame(number, self.fields.row("body_ipos", number), model.body_iquat[number])
             case objects.mjOBJ_GEOM:
                 return _frame(model.geom_bodyid[number], model.geom_pos[number], model.geom_quat[number])
             case _:
@@ -118,5 +118,5 @@ class Scene:
         return turn, add(way, cross(turn, subtract(self.position(frame), centre)))
 
 
-def _frame(body: int, position: np.ndarray, quaternion: np.ndarray) -> Frame:
-    return Frame(int(body), [float(x) for x in position], [float(x) for x in quaternion])
+def _frame(body: int, position: Vector | np.ndarray, quaternion: np.ndarray) -> Frame:
+    return Frame(int(body), list(position), [float(x) for x in quaternion])

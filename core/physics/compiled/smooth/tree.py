@@ -128,7 +128,7 @@ def _body(fields: Fields, number: int, share: Number) -> BodyConstants:
         root=int(model.body_rootid[number]),
         position=[0.0] * 3 if is_world else fields.row("body_pos", number),
         quaternion=[1.0, 0.0, 0.0, 0.0] if is_world else fields.row("body_quat", number),
-        centre=_floats(model.body_ipos[number]),
+        centre=fields.row("body_ipos", number),
         inertia=_inertia(fields, number),
         mass=fields.number("body_mass", number),
         share=share,

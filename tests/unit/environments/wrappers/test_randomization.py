@@ -109,6 +109,35 @@ def test_what_mujoco_derives_from_a_mass_is_derived_anew() -> None:
         np.testing.assert_allclose(fields[name][7], factor * getattr(MODEL, name), rtol=1e-5)
 
 
+PENDULUM = mujoco.MjModel.from_xml_string(
+    """
+<mujoco>
+  <worldbody>
+    <body name="rod">
+      <joint name="hinge" axis="0 1 0"/>
+      <geom type="sphere" size="0.1" mass="1" pos="0.2 0 0"/>
+    </body>
+    <body name="ball" pos="2 0 0"><freejoint/><geom type="sphere" size="0.1"/></body>
+  </worldbody>
+</mujoco>
+"""
+)
+
+
+def test_a_centre_of_mass_moves_and_takes_the_constants_with_it() -> None:
+    fields = draw_models(PENDULUM, [rule("body_ipos", 0.1, 0.1, names=["r.d"], axis=0, operation="add")])
+    np.testing.assert_allclose(fields["body_ipos"][7], [[0, 0, 0], [0.3, 0, 0], [0, 0, 0]], rtol=1e-6)
+    # About the hinge: 0.4 m r² + m d² = 0.004 + 0.09 kg m².
+    assert fields["dof_invweight0"][7, 0] == pytest.approx(1 / 0.094, rel=1e-6)
+
+
+def test_a_payload_brings_its_inertia() -> None:
+    carried = {"names": ["ball"], "operation": "add", "recompute_inertia": True}
+    fields = draw(rule("body_mass", 1, 1, **carried))
+    np.testing.assert_allclose(fields["body_mass"][7], [0, 3, 1])  # It was 2 kg.
+    np.testing.assert_allclose(fields["body_inertia"][7], MODEL.body_inertia * [[1], [1.5], [1]], rtol=1e-6)
+
+
 def test_nothing_is_derived_where_nothing_calls_for_it() -> None:
     assert set(draw(rule("geom_friction", 0.5, 2))) == {"geom_friction"}
 
@@ -137,6 +166,11 @@ def test_what_the_model_has_not_got_or_cannot_be_ends_the_job(wrong: Randomizati
     assert failure.value.reason == "bad_model"
 
 
+def test_a_body_without_room_for_another_centre_is_named() -> None:
+    with pytest.raises(JobFailed, match="body 'ball' moves alone"):
+        draw_models(PENDULUM, [rule("body_ipos", 0, 0.1, operation="add")])
+
+
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
@@ -149,6 +183,8 @@ def test_what_the_model_has_not_got_or_cannot_be_ends_the_job(wrong: Randomizati
         ({"field": "opt.gravity", "each": True}, "belongs to the whole model"),
         ({"field": "geom_size"}, "geom_friction"),
         ({"names": []}, "at least 1"),
+        ({"names": ["(floor"]}, "no regular expression"),
+        ({"recompute_inertia": True}, "goes with body_mass"),
         ({"rnage": [0, 1]}, "not permitted"),
     ],
 )
