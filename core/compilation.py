@@ -1,17 +1,18 @@
-"""Compiling several programs of JAX at once."""
+"""Compiling programs of JAX in the background, so that several are compiled while others are traced."""
 
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from typing import Any
 
 from jax.stages import Compiled, Lowered
 
 
-def compiled_side_by_side(lowered: Iterable[Lowered], options: Any = None) -> Sequence[Compiled]:
-    """The compiled programs; each is compiled in a thread of its own. options: of XLA; None: its defaults."""
+def compiling(lowered: Lowered, options: Any = None) -> Future[Compiled]:
+    """The compiled program, on which a thread works from now on. options: of XLA; None: its defaults."""
+    compiler: Any = lowered
+    return _compilers().submit(compiler.compile, options)
 
-    def compiled(function: Any) -> Compiled:
-        return function.compile(options)
 
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(compiled, lowered))
+@cache
+def _compilers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix="compiler")

@@ -5,6 +5,7 @@ cache, a folder for compiled programs; battery, as a job has it; keep, a file fo
 """
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ from bench.children.train_ours import engine_of, keep_compiled
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """built_at, policy_at, tested_at: the hours when the environment was built, the policy was trained, and
     the battery was over. training: [[steps, seconds of training until then], …]; steps; engine; battery."""
-    from core.algorithms.battery.run import run_battery
+    from core.algorithms.battery.run import Battery
     from core.algorithms.battery.spec import BatterySpec
-    from core.algorithms.events import TrainingProgress
+    from core.algorithms.events import Phase, TrainingProgress
     from core.algorithms.run import make_run
     from core.algorithms.trained_policy import load_policy
     from core.environments import catalog
@@ -34,21 +35,31 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     environment = catalog.make(job.info, job.options, engine_builder(engine))
     told: dict[str, Any] = {"engine": engine, "training": [], "built_at": time.time()}
     run = make_run(environment, ppo, seed=request["seed"], checkpoint_every_steps=None)
-    for event in run.events():
-        if isinstance(event, TrainingProgress):
-            told["training"].append((event.step, event.metrics["training/walltime"]))
-    content = run.policy()
-    told |= {"steps": run.step, "policy_at": time.time()}
+
+    def compiled(content: bytes) -> Battery:
+        return Battery(
+            lambda options: catalog.make(job.info, options, engine_builder("native")),
+            job.options,
+            load_policy(content, "ppo", is_checkpoint=False),
+            BatterySpec.model_validate(request["battery"]),
+        )
+
+    battery = None
+    with ThreadPoolExecutor(1) as pool:
+        for event in run.events():
+            if isinstance(event, Phase) and event.name == "compile" and request["device"] == "gpu":
+                battery = pool.submit(compiled, run.policy())  # As a job does: the processor is idle.
+            if isinstance(event, TrainingProgress):
+                told["training"].append((event.step, event.metrics["training/walltime"]))
+        content = run.policy()
+        told |= {"steps": run.step, "policy_at": time.time()}
     if request["keep"] is not None:
         Path(request["keep"]).write_bytes(content)
-    result = run_battery(
-        lambda options: catalog.make(job.info, options, engine_builder("native")),
-        job.options,
-        load_policy(content, "ppo", is_checkpoint=False),
-        BatterySpec.model_validate(request["battery"]),
-        seed=request["seed"],
-    )
-    return {**told, "tested_at": time.time(), "battery": result.model_dump(mode="json")}
+    ready = compiled(content) if battery is None else battery.result()
+    parameters = load_policy(content, "ppo", is_checkpoint=False).parameters
+    result = ready.run(parameters, seed=request["seed"])
+    told["battery"] = result.model_dump(mode="json")
+    return {**told, "tested_at": time.time()}
 
 
 if __name__ == "__main__":

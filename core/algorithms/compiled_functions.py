@@ -13,7 +13,7 @@ from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.evaluation import EpisodeTotals
 from core.algorithms.events import Phase
 from core.algorithms.lost_body import earlier
-from core.compilation import compiled_side_by_side
+from core.compilation import compiling
 from core.environments.wrappers.vectorized import ENVS
 
 
@@ -87,7 +87,7 @@ def in_phases(
 
 
 def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
-    """Trace every function; calling the result compiles them, side by side.
+    """Trace every function, and compile each from then on; calling the result waits for all of them.
 
     Evaluations have few environments, so they run on the first device, with a copy of what they need.
     """
@@ -95,23 +95,24 @@ def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
     count = jax.ShapeDtypeStruct((), jnp.int32)
     state = jax.eval_shape(algorithm.init, algorithm.seed)
     init_options, epoch_options = _where(algorithm, state)
-    lowered = (
-        jax.jit(algorithm.init, **init_options).lower(algorithm.seed),
-        jax.jit(epoch, donate_argnums=0, **epoch_options).lower(state, algorithm.hyperparameters, count),
-        jax.jit(algorithm.evaluate).lower(algorithm.evaluated(state), state.eval_key, count),
+    start = partial(compiling, options=compiler_options())
+    # The one that takes longest begins.
+    epoch = start(
+        jax.jit(epoch, donate_argnums=0, **epoch_options).lower(state, algorithm.hyperparameters, count)
     )
+    init = start(jax.jit(algorithm.init, **init_options).lower(algorithm.seed))
+    evaluate = start(jax.jit(algorithm.evaluate).lower(algorithm.evaluated(state), state.eval_key, count))
+    gather = start(_gathering(algorithm, state)) if algorithm.sharding.has_other_hosts else None
 
-    if algorithm.sharding.has_other_hosts:
-        lowered = (*lowered, _gathering(algorithm, state))
-
-    def compile_all() -> CompiledFunctions[S]:
-        init, epoch, evaluate, *gather = compiled_side_by_side(lowered, compiler_options())
-        functions = CompiledFunctions(init, epoch, algorithm.sharding.on_the_first(evaluate))
-        if not gather:
+    def wait() -> CompiledFunctions[S]:
+        on_the_first = algorithm.sharding.on_the_first(evaluate.result())
+        functions = CompiledFunctions(init.result(), epoch.result(), on_the_first)
+        if gather is None:
             return functions
-        return replace(functions, whole=lambda s: replace(s, **gather[0](_split_parts(algorithm, s))))
+        gathered = gather.result()
+        return replace(functions, whole=lambda s: replace(s, **gathered(_split_parts(algorithm, s))))
 
-    return compile_all
+    return wait
 
 
 def trace_seeds(algorithm: Algorithm[S], seeds: Any) -> Callable[[], CompiledFunctions[S]]:
@@ -123,12 +124,13 @@ def trace_seeds(algorithm: Algorithm[S], seeds: Any) -> Callable[[], CompiledFun
     epoch = jax.vmap(_epoch(algorithm), (0, None, 0))
     init, evaluate = jax.vmap(algorithm.init), jax.vmap(algorithm.evaluate)
     state = jax.eval_shape(init, seeds)
-    lowered = (
-        jax.jit(init).lower(seeds),
-        jax.jit(epoch, donate_argnums=0).lower(state, algorithm.hyperparameters, state.num_updates),
-        jax.jit(evaluate).lower(algorithm.evaluated(state), state.eval_key, state.num_updates),
+    start = partial(compiling, options=compiler_options())
+    updates = start(
+        jax.jit(epoch, donate_argnums=0).lower(state, algorithm.hyperparameters, state.num_updates)
     )
-    return lambda: CompiledFunctions(*compiled_side_by_side(lowered, compiler_options()))
+    begin = start(jax.jit(init).lower(seeds))
+    evaluation = start(jax.jit(evaluate).lower(algorithm.evaluated(state), state.eval_key, state.num_updates))
+    return lambda: CompiledFunctions(begin.result(), updates.result(), evaluation.result())
 
 
 def _epoch(algorithm: Algorithm[S]) -> Callable[[S, Any, jax.Array], tuple[S, dict[str, jax.Array], Failure]]:

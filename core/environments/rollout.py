@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.compilation import compiled_side_by_side
+from core.compilation import compiling
 from core.environments.environment import Environment, State
 from core.environments.info import POLICY_GROUP
 from core.environments.trajectory import ARENA, Episode, Trajectory, describe
@@ -132,8 +132,9 @@ class Roller:
         """`reset` and `advance`. Left to `jax.jit`, `advance` would be compiled again for the states that it
         returns, if a step's values are weakly typed and a reset's are not."""
         state = jax.eval_shape(self._reset, keys)
-        advance = self._advance.lower(parameters, state, keys, jnp.int32(0))
-        return compiled_side_by_side((self._reset.lower(keys), advance))
+        advance = compiling(self._advance.lower(parameters, state, keys, jnp.int32(0)))
+        reset = compiling(self._reset.lower(keys))
+        return reset.result(), advance.result()
 
 
 def rollout(

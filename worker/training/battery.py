@@ -10,7 +10,7 @@ from statistics import fmean
 from typing import Any, cast
 
 from core.algorithms.battery.result import BatteryResult
-from core.algorithms.battery.run import run_battery
+from core.algorithms.battery.run import Battery
 from core.algorithms.battery.spec import BatterySpec
 from core.algorithms.events import metric_of_seed
 from core.algorithms.trained_policy import TrainedPolicy, load_policy
@@ -21,11 +21,12 @@ from worker.protocol import Measured, Noted
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.exports import PolicyInTraining
+from worker.training.prepared import Prepared
 
 BATTERY = "battery.json"
 
 
-@dataclass(frozen=True)
+@dataclass
 class BatteryWriter:
     """Tests policies as the job asks, and keeps each result as `battery.json`.
 
@@ -35,6 +36,13 @@ class BatteryWriter:
     battery: BatterySpec
     built: BuiltEnvironment
     is_stopped: Callable[[], bool]
+    _compiled: Prepared[Battery] | None = None
+
+    def prepare(self, policy: PolicyInTraining) -> None:
+        """Begin to compile it, in a thread, for policies such as this one."""
+        algorithm, content = policy.spec.algorithm.algorithm(), policy.content()
+        self._compiled = Prepared(lambda: self._battery(load_policy(content, algorithm, is_checkpoint=False)))
+        self._compiled.begin()
 
     def test_trained(self, policies: Sequence[PolicyInTraining]) -> None:
         """Test each policy as it is now. Of several seeds a metric's plain name is the mean over them."""
@@ -59,14 +67,11 @@ class BatteryWriter:
     ) -> dict[str, float]:
         """Test one policy; its metrics, none where there is no result. step: that it was trained for."""
         try:
-            result = run_battery(
-                lambda options: cast("TaskEnv", self.built.made_on("native", options)),
-                cast("TaskOptions", self.built.job.options),
-                load(),
-                self.battery,
-                seed=spec.seed,
-                is_stopped=self.is_stopped,
-            )
+            policy = load()
+            if self._compiled is None:
+                self._compiled = Prepared(partial(self._battery, policy))
+            battery = self._compiled.value()
+            result = battery.run(policy.parameters, seed=spec.seed, is_stopped=self.is_stopped)
         except Exception as error:  # The job has its policy; what its test meets must not take it away.
             traceback.print_exc()
             line = str(error).splitlines()[0][:500] if str(error) else ""
@@ -81,6 +86,14 @@ class BatteryWriter:
             BATTERY, _as_json(whole), "battery", "application/json", step=step, metadata=_shown(facts)
         )
         return metrics_of(result)
+
+    def _battery(self, policy: TrainedPolicy) -> Battery:
+        return Battery(
+            lambda options: cast("TaskEnv", self.built.made_on("native", options)),
+            cast("TaskOptions", self.built.job.options),
+            policy,
+            self.battery,
+        )
 
     def _origin(self, spec: TrainSpec | RolloutSpec) -> dict[str, Any]:
         """What the numbers depend on, besides the policy."""

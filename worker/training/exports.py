@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 from core.algorithms.catalog import ALGORITHMS
@@ -25,6 +26,7 @@ from core.jobs.spec import TrainSpec
 from worker.protocol import Noted
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
+from worker.training.prepared import Prepared
 
 SIMULATION = "simulation.json"
 _Writer = Callable[[PolicyNetwork, Mapping[str, Any]], bytes]
@@ -71,20 +73,23 @@ class TimeBudget:
         self._is_prepared = True
 
 
-def keep_simulation(environment: Environment, events: EventWriter) -> None:
-    """Keep the file, which says why if the body cannot be stepped."""
-    try:
-        document = _document(environment)
-    except NotSimulated as error:
-        document = {"refusal": f"This body cannot be pushed: {error}."}
+def keep_simulation(document: Mapping[str, Any], events: EventWriter) -> None:
+    """Keep the document of `simulation_document` as a file."""
     content = json.dumps(document, separators=(",", ":")).encode()
     facts = {"can_run": "refusal" not in document, "follows_commands": bool(document.get("command"))}
     events.keep(SIMULATION, content, "simulation", "application/json", metadata=facts)
 
 
+def simulation_document(environment: Environment) -> dict[str, Any]:
+    """The simulation of the body as its model says, or a refusal that says why it cannot be stepped; a
+    randomised body differs from it in each episode."""
+    try:
+        return _document(_unwrapped(environment))
+    except NotSimulated as error:
+        return {"refusal": f"This body cannot be pushed: {error}."}
+
+
 def _document(environment: Environment) -> dict[str, Any]:
-    """The simulation of the body as its model says; a randomised body differs from it in each episode."""
-    environment = _unwrapped(environment)
     if not isinstance(environment, MujocoEnv):
         raise NotSimulated("its environment is that of another package")
     try:
@@ -110,6 +115,14 @@ class ExportWriter:
     built: BuiltEnvironment
     _has_simulation: bool = False
     _budget: TimeBudget = field(default_factory=TimeBudget)
+
+    def __post_init__(self) -> None:
+        self._simulation = Prepared(partial(simulation_document, self.built.environment))
+
+    def prepare(self) -> None:
+        """Begin to make the simulation, in a thread."""
+        if ALGORITHMS[self.algorithm].no_export is None:
+            self._simulation.begin()
 
     def keep_newest(self, policies: Sequence[PolicyInTraining]) -> None:
         """Replace the `policy.npz` of each by the one of a checkpoint, where that costs next to nothing.
@@ -173,7 +186,7 @@ class ExportWriter:
 
     def _keep_simulation(self, policy: PolicyInTraining) -> None:
         if not self._has_simulation:
-            keep_simulation(self.built.environment, policy.events)
+            keep_simulation(self._simulation.value(), policy.events)
             self._has_simulation = True
 
     def _written(self, policy: bytes, step: int, write: _Writer) -> bytes:

@@ -70,18 +70,27 @@ def train(
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     check_memory(built.job.memory_on(built.device, built.num_devices), built.device)
     run, policies = begin_or_resume(task, spec, settings, built, events)
-    files = PolicyFiles(policies, ExportWriter(settings.algorithm(), built), task.best)
+    exports = ExportWriter(settings.algorithm(), built)
+    files = PolicyFiles(policies, exports, task.best)
+    battery = None if spec.battery is None else BatteryWriter(spec.battery, built, lambda: stopping.asked)
+
+    def prepare() -> None:
+        if built.device == "gpu":  # It leaves the processor idle.
+            exports.prepare()
+            if battery is not None:
+                battery.prepare(policies[0])
+
     videos = None if spec.video is None else PolicyVideos(spec.video, built, policies)
     held = getattr(settings, "action_repeat", 1)  # Q-learning, which lacks it, tells of no lost body.
     keep_lost = partial(keep_lost_body, built=built, action_repeat=held, events=events)
-    report = Report(events, run, spec.checkpoints.every_seconds, keep_lost)
+    report = Report(events, run, spec.checkpoints.every_seconds, keep_lost, prepare)
     was_stopped = _publish_all(run, files, videos, spec, report, stopping)
     if task.gang is not None and isinstance(run, Run):
         run.end()
-    if spec.battery is not None and not was_stopped:
+    if battery is not None and not was_stopped:
         report.enter("evaluating")
         with stopping.nothing_to_keep():
-            BatteryWriter(spec.battery, built, lambda: stopping.asked).test_trained(policies)
+            battery.test_trained(policies)
     return was_stopped
 
 
@@ -201,12 +210,16 @@ def _steps_between_checkpoints(spec: TrainSpec, settings: BaseSpec) -> int:
 
 @dataclass
 class Report:
-    """Turns a run's events into messages; remembers the last checkpoint kept."""
+    """Turns a run's events into messages; remembers the last checkpoint kept.
+
+    prepare: called once, when the run begins to train.
+    """
 
     events: EventWriter
     run: FollowedRun
     checkpoint_every_s: float = float("inf")
     keep_lost: Callable[[BodyLost], None] = lambda _: None
+    prepare: Callable[[], None] = lambda: None
     _kept_step: int | None = None
     _kept_at: float = field(default_factory=time.monotonic)
     _warned_of: set[str] = field(default_factory=set[str])
@@ -224,6 +237,7 @@ class Report:
                 self.events.send(PhaseEnded(name=name, seconds=seconds))
                 if name == "compile":
                     self.enter("training")
+                    self.prepare()
             case TrainingProgress(step=step, total=total, metrics=metrics):
                 self._warn(step, metrics)
                 self._rate = metrics.get("training/sps", self._rate)

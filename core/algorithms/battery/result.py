@@ -58,7 +58,7 @@ class Criterion(Stored):
 
 
 class BatteryResult(Stored):
-    """passed: whether every criterion is met. took_s: seconds that the battery took. legs: their joints."""
+    """passed: whether every criterion is met. took_s: seconds that its episodes took. legs: their joints."""
 
     passed: bool
     criteria: list[Criterion]

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +24,7 @@ from core.algorithms.battery.spec import (
     commands_within,
 )
 from core.algorithms.trained_policy import TrainedPolicy
+from core.compilation import compiling
 from core.environments.environment import State, Wrapped
 from core.environments.patterns import matching_in_turn
 from core.environments.task import TaskEnv
@@ -60,40 +61,70 @@ def run_battery(
     seed: int,
     is_stopped: Callable[[], bool] = lambda: False,
 ) -> BatteryResult | None:
-    """The result; None if it was stopped.
+    """The result of one policy; see `Battery`."""
+    return Battery(make, options, policy, spec).run(policy.parameters, seed=seed, is_stopped=is_stopped)
+
+
+class Battery:
+    """A battery, compiled for the policies of a training: they differ by their parameters alone.
 
     make: the task under options, on the engine `native`; it is called where JAX computes on the CPU. options:
-    of the task as it was trained. Raises ValueError if that has no velocity command, and JobFailed as `make`.
+    of the task as it was trained. policy: one of the policies. Raises ValueError if the task has no velocity
+    command, and JobFailed as `make`.
     """
-    began = time.perf_counter()
-    trained = options.command
-    if not isinstance(trained, VelocityCommand):
-        raise ValueError("The task has no velocity command.")
-    commands = commands_within(trained)
-    with on_the_cpu():
-        environment = make(battery_options(options, spec))
-        legs = leg_joints(environment.model, environment.tracked_body, options.feet)
-        settled, end = round(SETTLING_S / environment.dt), round(spec.seconds / environment.dt)
-        meter = _Meter(environment, legs, *_acted_on(options, environment.model))
-        battery = _Battery(environment, policy, meter, settled, end)
-        sums = battery.run(commands, spec.starts, seed, is_stopped)
-    if sums is None:
-        return None
-    rows = [
-        _row(command, {name: values[number] for name, values in sums.items()}, end - settled)
-        for number, command in enumerate(commands)
-    ]
-    passed, criteria = judged(rows, clipped(STRAIGHT_ON, trained), spec.bounds)
-    return BatteryResult(
-        passed=passed,
-        criteria=criteria,
-        commands=rows,
-        spec=spec,
-        seed=seed,
-        engine="native",
-        legs=[environment.model.joint(joint).name for joint in legs],
-        took_s=time.perf_counter() - began,
-    )
+
+    def __init__(self, make: Make, options: TaskOptions, policy: TrainedPolicy, spec: BatterySpec) -> None:
+        if not isinstance(options.command, VelocityCommand):
+            raise ValueError("The task has no velocity command.")
+        self._spec, self._trained = spec, options.command
+        self._commands = commands_within(self._trained)
+        with on_the_cpu():
+            environment = make(battery_options(options, spec))
+            self._legs = leg_joints(environment.model, environment.tracked_body, options.feet)
+            self._settled, self._end = (round(s / environment.dt) for s in (SETTLING_S, spec.seconds))
+            meter = _Meter(environment, self._legs, *_acted_on(options, environment.model))
+            episodes = _Episodes(environment, policy, meter, self._settled, self._end)
+            begin, advance = jax.jit(jax.vmap(episodes.begin)), jax.jit(episodes.advance)
+            running = jax.eval_shape(begin, *self._starts(0))
+            advancing = compiling(advance.lower(policy.parameters, running, jnp.int32(0)))
+            self._begin = compiling(begin.lower(*self._starts(0))).result()
+            self._advance = advancing.result()
+        self._model = environment.model
+
+    def run(
+        self, parameters: Any, *, seed: int, is_stopped: Callable[[], bool] = lambda: False
+    ) -> BatteryResult | None:
+        """The result of the policy with these parameters; None if it was stopped."""
+        began = time.perf_counter()
+        with on_the_cpu():
+            running = self._begin(*self._starts(seed))
+            for first in range(0, self._end, _STEPS_PER_CALL):
+                if is_stopped():
+                    return None
+                running = jax.block_until_ready(self._advance(parameters, running, jnp.int32(first)))
+        shape = len(self._commands), self._spec.starts
+        sums = {name: np.asarray(values).reshape(shape) for name, values in running[2].items()}
+        rows = [
+            _row(command, {name: values[number] for name, values in sums.items()}, self._end - self._settled)
+            for number, command in enumerate(self._commands)
+        ]
+        passed, criteria = judged(rows, clipped(STRAIGHT_ON, self._trained), self._spec.bounds)
+        return BatteryResult(
+            passed=passed,
+            criteria=criteria,
+            commands=rows,
+            spec=self._spec,
+            seed=seed,
+            engine="native",
+            legs=[self._model.joint(joint).name for joint in self._legs],
+            took_s=time.perf_counter() - began,
+        )
+
+    def _starts(self, seed: int) -> tuple[jax.Array, jax.Array]:
+        """The key and the command [3] of each episode; each command has the same starts."""
+        starts, commands = self._spec.starts, self._commands
+        keys = jnp.tile(jax.random.split(jax.random.key(seed), starts), len(commands))
+        return keys, jnp.repeat(jnp.array(commands, jnp.float32), starts, axis=0)
 
 
 def leg_joints(model: mujoco.MjModel, root: int, feet: list[str]) -> list[int]:
@@ -171,7 +202,7 @@ class _Meter:
 
 
 @dataclass(frozen=True)
-class _Battery:
+class _Episodes:
     """All episodes of all commands side by side. settled, end: actions, from and until which are counted."""
 
     environment: TaskEnv
@@ -205,20 +236,6 @@ class _Battery:
         now = self.meter.measure(state, action, previous)
         added = {name: sums[name] + jnp.where(counts, value, 0.0) for name, value in now.items()}
         return state, action, {"fell": fell, **added}
-
-    def run(
-        self, commands: Sequence[Command], starts: int, seed: int, is_stopped: Callable[[], bool]
-    ) -> dict[str, np.ndarray] | None:
-        """The meter's sums [commands, starts]; None if it was stopped. Each command has the same starts."""
-        keys = jnp.tile(jax.random.split(jax.random.key(seed), starts), len(commands))
-        each = jnp.repeat(jnp.array(commands, jnp.float32), starts, axis=0)
-        running: Any = jax.jit(jax.vmap(self.begin))(keys, each)
-        advance = jax.jit(self.advance)
-        for first in range(0, self.end, _STEPS_PER_CALL):
-            if is_stopped():
-                return None
-            running = jax.block_until_ready(advance(self.policy.parameters, running, jnp.int32(first)))
-        return {name: np.asarray(sums).reshape(len(commands), starts) for name, sums in running[2].items()}
 
 
 def _row(command: Command, sums: Mapping[str, np.ndarray], num_counted: int) -> CommandResult:

@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +33,17 @@ SPEC = TrainSpec.model_validate(
 )
 SEEN = np.random.default_rng(0).normal(0, 1, (20, 3)).astype(np.float32)
 POLICY = policy_file(PPOSpec.model_validate({"policy_hidden_layer_sizes": [4]}), SEEN, 1)
+# The policy as it was when the training began.
+BEFORE = policy_file(PPOSpec.model_validate({"policy_hidden_layer_sizes": [4]}), 2 * SEEN, 1)
 
 
 def told(
-    spool: Path, policy: bytes = POLICY, seeds: Sequence[int | None] = (None,), *, stopped: bool = False
+    spool: Path,
+    policy: bytes = POLICY,
+    seeds: Sequence[int | None] = (None,),
+    *,
+    stopped: bool = False,
+    prepared: bool = False,
 ) -> list[dict[str, Any]]:
     """The messages of the batteries of some seeds' policies, trained for 640 steps."""
     (spool / "model").write_bytes(XML)
@@ -44,21 +52,23 @@ def told(
     job = resolve_job(SPEC)
     built = BuiltEnvironment(job, endless(), "cpu", "cpu", "compiled", "asked for", model=spool / "model")
     assert SPEC.battery is not None
-    BatteryWriter(SPEC.battery, built, lambda: stopped).test_trained(
-        [
-            PolicyInTraining(
-                SPEC, events if seed is None else events.of_seed(seed), lambda: 640, lambda: policy, seed
-            )
-            for seed in seeds
-        ]
-    )
+    policies = [
+        PolicyInTraining(
+            SPEC, events if seed is None else events.of_seed(seed), lambda: 640, lambda: policy, seed
+        )
+        for seed in seeds
+    ]
+    writer = BatteryWriter(SPEC.battery, built, lambda: stopped)
+    if prepared:
+        writer.prepare(replace(policies[0], content=lambda: BEFORE))
+    writer.test_trained(policies)
     events._pipe.close()
     with os.fdopen(read, "rb") as pipe:
         return [json.loads(line) for line in pipe]
 
 
 def test_a_battery_becomes_a_file_with_what_is_shown_of_it_and_metrics(tmp_path: Path) -> None:
-    file, metrics = told(tmp_path)
+    file, metrics = told(tmp_path, prepared=True)
     assert (file["name"], file["role"], file["step"]) == ("battery.json", "battery", 640)
     whole = json.loads((tmp_path / file["path"]).read_bytes())
     assert whole["engine"] == "native"

@@ -10,14 +10,14 @@ from core.environments.wrappers.domain_randomization import RandomizedEnvironmen
 from tests.probes import endless
 from tests.unit.environments.test_simulation import of_the_catalog
 from worker.training.event_writer import EventWriter
-from worker.training.exports import keep_simulation
+from worker.training.exports import keep_simulation, simulation_document
 
 
 def handed_over(spool: Path, environment: Environment) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The messages, and the file."""
     read, write = os.pipe()
     events = EventWriter(spool, write)
-    keep_simulation(environment, events)
+    keep_simulation(simulation_document(environment), events)
     events._pipe.close()
     with os.fdopen(read) as pipe:
         said = [json.loads(line) for line in pipe]
