@@ -30,7 +30,7 @@ from core.environments.catalog import find
 from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.installation import to_install
 from core.jobs.job import utc_now
-from core.jobs.queue import FIRST, queue_names
+from core.jobs.queue import MODELS, PREVIEWS, queue_names
 from core.jobs.store import JobStore
 from core.jobs.tallies import Report, Tallies
 from core.jobs.workers import WorkerInfo, WorkerState, packages_here
@@ -236,11 +236,13 @@ class GaitwayWorker(rq.Worker):
     def reorder_queues(self, reference_queue: Any) -> None:
         """RQ calls it with the queue of the message that it has just taken.
 
-        A preview comes before all jobs, but not after another preview: any client can ask for previews.
+        A preview or a model comes before all jobs, but not after another one: any client can send them.
         """
         self._idle_since = inf
-        after_a_preview = reference_queue.name == FIRST
-        self._ordered_queues = sorted(self.queues, key=lambda queue: after_a_preview and queue.name == FIRST)
+        jobs_first = reference_queue.name in (PREVIEWS, MODELS)
+        self._ordered_queues = sorted(
+            self.queues, key=lambda queue: jobs_first and queue.name in (PREVIEWS, MODELS)
+        )
 
     def _end_in_time(self) -> None:
         """Shut down before the machine is taken away, or because nothing has been there to do for long."""

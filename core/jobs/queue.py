@@ -9,8 +9,8 @@ from core.jobs.spec import MOST_GPUS, Accelerator, Priority
 from core.previews.record import PreviewQueue
 from core.user_models.record import ModelQueue
 
-# The queue of previews, which come before all jobs, and that of models, which come after them.
-FIRST, LAST = "gaitway-previews", "gaitway-models"
+# The queues of what somebody waits for at a screen: they come before all jobs, one between two jobs.
+PREVIEWS, MODELS = "gaitway-previews", "gaitway-models"
 # The names of queues of jobs on several hosts begin like this.
 SEVERAL_HOSTS = "gaitway-hosts"
 PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
@@ -60,7 +60,7 @@ class JobQueue(ModelQueue, PreviewQueue, Protocol):
 
 def looks_at_models(queues: Collection[str]) -> bool:
     """Whether a worker that serves these queues validates models and draws previews."""
-    return FIRST in queues
+    return PREVIEWS in queues
 
 
 def queue_names(device: str, hosts: int = 1) -> tuple[str, ...]:
@@ -75,7 +75,7 @@ def queue_names(device: str, hosts: int = 1) -> tuple[str, ...]:
     if gpus > 1:
         return tuple(queue_name("gpu", priority, gpus) for priority in PRIORITIES)
     kinds: tuple[Accelerator, ...] = ("gpu", "any") if gpus else ("cpu", "any")
-    return (FIRST, *(queue_name(kind, priority) for priority in PRIORITIES for kind in kinds), LAST)
+    return (PREVIEWS, MODELS, *(queue_name(kind, priority) for priority in PRIORITIES for kind in kinds))
 
 
 def queue_name(accelerator: Accelerator, priority: Priority, gpus: int = 1, hosts: int = 1) -> str:

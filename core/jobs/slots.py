@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 from core.environments.info import Device
-from core.jobs.queue import LAST
+from core.jobs.queue import MODELS
 from core.jobs.spec import Accelerator
 
 # As `core.jobs.queue.queue_name` makes it.
@@ -76,7 +76,7 @@ def wanted_slots(counts: Iterable[QueueCount]) -> list[WantedSlots]:
     """
     by_kind = defaultdict[SlotKind, list[QueueCount]](list)
     for count in counts:
-        if count.queue == LAST and count.queued:
+        if count.queue == MODELS and count.queued:
             count = replace(count, queued=1)
         by_kind[kind_of_queue(count.queue)].append(count)
     return [_together(kind, by_kind[kind]) for kind in sorted(by_kind)]

@@ -98,7 +98,7 @@ def what_a_model_waits_for(workers: Sequence[WorkerView]) -> str | None:
     who = "The only worker is" if len(workers) == 1 else f"All {len(workers)} workers are"
     return (
         f"{who} busy ({first.name} with job {job}): a worker reads the model after its job, "
-        "and after the jobs that wait."
+        "before those that wait."
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from core.errors import JobExists, JobNotFound, LeaseLost, StaleJob
 from core.jobs.job import Job, new_job_id
-from core.jobs.queue import LAST
+from core.jobs.queue import MODELS
 from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, JobStore
 from core.reasons import Reason
@@ -401,7 +401,7 @@ class TestCounts:
             "gaitway-any-normal": (1, 1),
             "gaitway-gpu2-normal": (1, 0),
             "gaitway-gpu2-high": (1, 0),
-            LAST: (1, 0),
+            MODELS: (1, 0),
         }
 
     def test_a_job_that_was_given_back_waits_since_then(self, jobs: JobStore) -> None:

@@ -349,7 +349,7 @@ def test_who_sends_a_model_is_told_at_once_what_it_waits_for(stack: Stack, tmp_p
     busy = WorkerView(name="gpu-1", job="j1", **seen)
     assert what_a_model_waits_for([busy]) == (
         "The only worker is busy (gpu-1 with job j1): a worker reads the model after its job, "
-        "and after the jobs that wait."
+        "before those that wait."
     )
     assert "All 2 workers are busy (gpu-1 with job j1)" in str(what_a_model_waits_for([busy, busy]))
     assert what_a_model_waits_for([busy, WorkerView(name="gpu-2", **seen)]) is None

@@ -38,7 +38,7 @@ from core.adapters.postgres.tables import models as models_table
 from core.errors import LeaseLost
 from core.jobs.attempts import PAUSES
 from core.jobs.job import Job, UnreadableJob
-from core.jobs.queue import LAST, MOST_WAITING, SEVERAL_HOSTS, all_queues
+from core.jobs.queue import MODELS, MOST_WAITING, SEVERAL_HOSTS, all_queues
 from core.jobs.slots import QueueCount
 from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch
@@ -203,7 +203,7 @@ def _queue_counts() -> Any:
         .having(func.count().filter(or_(is_queued, jobs.c.status.in_(HELD))) > 0)
     )
     of_models = (
-        select(literal(LAST), func.count(), literal(0), age_s(func.min(models_table.c.created_at)))
+        select(literal(MODELS), func.count(), literal(0), age_s(func.min(models_table.c.created_at)))
         .where(models_table.c.status == "validating")
         .having(func.count() > 0)
     )

@@ -17,7 +17,7 @@ from rq.serializers import JSONSerializer
 
 from core.adapters.redis.errors import reaching_redis
 from core.adapters.timing import Observe, timed, unobserved
-from core.jobs.queue import FIRST, LAST
+from core.jobs.queue import MODELS, PREVIEWS
 from core.previews.record import PreviewRequest
 
 TASK = "worker.tasks.run_attempt"
@@ -99,7 +99,7 @@ class RQQueue:
 
     @_reaching
     def enqueue_model(self, model_id: str) -> None:
-        self._enqueue(LAST, _model_rq_id(model_id), MODEL_TASK, (model_id,))
+        self._enqueue(MODELS, _model_rq_id(model_id), MODEL_TASK, (model_id,))
 
     @_reaching
     def contains_model(self, model_id: str) -> bool:
@@ -107,7 +107,7 @@ class RQQueue:
 
     @_reaching
     def enqueue_preview(self, request: PreviewRequest) -> None:
-        self._enqueue(FIRST, _preview_rq_id(request.id), PREVIEW_TASK, (request.model_dump_json(),))
+        self._enqueue(PREVIEWS, _preview_rq_id(request.id), PREVIEW_TASK, (request.model_dump_json(),))
 
     @_reaching
     def contains_preview(self, preview_id: str) -> bool:
@@ -115,7 +115,7 @@ class RQQueue:
 
     @_reaching
     def num_previews(self) -> int:
-        waiting = Queue(FIRST, connection=self._redis, serializer=JSONSerializer).job_ids
+        waiting = Queue(PREVIEWS, connection=self._redis, serializer=JSONSerializer).job_ids
         return sum(rq_id.startswith(_preview_rq_id("")) for rq_id in waiting)
 
     def _held(self) -> Set[str]:

@@ -1,6 +1,6 @@
 """How queues are counted by what they ask of a worker."""
 
-from core.jobs.queue import LAST, all_queues, queue_names
+from core.jobs.queue import MODELS, all_queues, queue_names
 from core.jobs.slots import (
     ANY,
     CPU,
@@ -30,7 +30,7 @@ def test_priorities_count_together_and_models_as_one_job() -> None:
         QueueCount("gaitway-gpu-low", 1, 0, 90.0),
         QueueCount("gaitway-gpu4-normal", 0, 1, None),
         QueueCount("gaitway-any-normal", 3, 0, 1.0),
-        QueueCount(LAST, 17, 0, 2.0),
+        QueueCount(MODELS, 17, 0, 2.0),
         QueueCount(None, 1, 1, 0.5),
     ]
     assert wanted_slots(counts) == [

@@ -15,7 +15,7 @@ from rq.worker import WorkerStatus
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs.attempts import Claim
-from core.jobs.queue import FIRST, queue_names
+from core.jobs.queue import MODELS, PREVIEWS, queue_names
 from core.jobs.status import JobStatus
 from core.jobs.tallies import Tally
 from core.jobs.workers import WorkerInfo
@@ -159,19 +159,20 @@ def test_a_worker_tells_how_an_attempt_ended_that_was_left_on_its_disk(
     assert list((settings.data_dir / "left").iterdir()) == []
 
 
-def test_after_a_preview_a_worker_takes_a_job_first_and_otherwise_the_preview(
+def test_after_a_preview_or_a_model_a_worker_takes_a_job_first(
     settings: WorkerSettings,
 ) -> None:
     """L10: previews alone kept all workers from jobs."""
     store: Any = InterruptedStore()
     worker = GaitwayWorker(settings, "cpu", store)
-    previews, *jobs = worker.queues
+    previews, models, *jobs = worker.queues
 
     def next_queues() -> list[str]:
         return [queue.name for queue in worker._ordered_queues]
 
-    assert (previews.name, next_queues()) == (FIRST, list(queue_names("cpu")))
-    worker.reorder_queues(previews)
-    assert next_queues() == [*(queue.name for queue in jobs), FIRST]
+    assert (previews.name, next_queues()) == (PREVIEWS, list(queue_names("cpu")))
+    for queue in (previews, models):
+        worker.reorder_queues(queue)
+        assert next_queues() == [*(queue.name for queue in jobs), PREVIEWS, MODELS]
     worker.reorder_queues(jobs[0])
     assert next_queues() == list(queue_names("cpu"))
