@@ -68,7 +68,7 @@ def keep_compiled(cache: str, engine: str) -> None:
     from core.physics.compiled.code.kept_code import keep_code
 
     jax.config.update("jax_compilation_cache_dir", cache)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     if engine == "warp":
         set_warp_cache(Path(cache, "warp"))
     if engine == "compiled":

@@ -43,8 +43,8 @@ def keep_programs() -> None:
     """
     if Path(CACHE).is_dir():
         jax.config.update("jax_compilation_cache_dir", f"{CACHE}/jax")
-        # JAX keeps what took 1 s to compile; an evaluation's program takes less, and a job waits for it, too.
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+        # JAX keeps what took 1 s to compile. A job waits for dozens of small programs, too.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def keep_warp_kernels() -> None:
