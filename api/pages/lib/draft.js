@@ -1,7 +1,7 @@
 /** A job that is being written, a document that has only what was said; and its submission, once at a time. */
 
-import { get } from "./api.js";
-import { useState } from "./html.js";
+import { get, send } from "./api.js";
+import { useEffect, useRef, useState } from "./html.js";
 import { algorithmOf, environmentOf, optionsOf, title } from "./job.js";
 
 /** The value at a path, or undefined. */
@@ -9,22 +9,46 @@ export const at = (document, path) => path.reduce((part, name) => part?.[name], 
 
 /** The document with a value at a path; undefined removes it, and what becomes empty by that. */
 export function put(document, [name, ...rest], value) {
-  const copy = { ...document };
+  const copy = Array.isArray(document) ? [...document] : { ...document };
   if (rest.length) {
     const inner = put(typeof copy[name] === "object" && copy[name] !== null ? copy[name] : {}, rest, value);
-    if (Object.keys(inner).length) copy[name] = inner;
+    // The items of a list keep their places, and those that say nothing stay.
+    if (Array.isArray(copy) || Object.keys(inner).length) copy[name] = inner;
     else delete copy[name];
   } else if (value === undefined) delete copy[name];
   else copy[name] = value;
   return copy;
 }
 
+/** A job's document as forms write it. */
+export function jobOf({ environment, ...job }) {
+  const options = optionsOf({ environment });
+  return { kind: "train", ...job, environment: { id: environmentOf({ environment }), ...(Object.keys(options).length && { options }) } };
+}
+
+/** What text stands for: a document that has an `environment`. Raises an Error with a sentence. */
+export function readJob(text) {
+  const job = parsed(text);
+  if (!job?.environment) throw new Error("This is no job: a job has an `environment`.");
+  return jobOf(job);
+}
+
+/** The value that text is as JSON. Raises an Error with a sentence. */
+export function parsed(text) {
+  try {
+    return JSON.parse(text);
+  } catch (error) {
+    throw new Error(`This is not JSON: ${error.message}`);
+  }
+}
+
 /**
- * The draft that an address asks for: `from` a job, a `fork` or a `roll` of a checkpoint (with `step`), a `roll` of
+ * The draft that an address asks for: a `job` as JSON, or `from` a job, a `fork` or a `roll` of a checkpoint (with `step`), a `roll` of
  * the best policy (`which`), each of one `seed` of several, or of an `environment` and a `model`.
  */
 export async function fromAddress(query) {
   const source = query.get("from") || query.get("fork") || query.get("roll");
+  if (query.get("job")) return readJob(query.get("job"));
   if (!source) {
     const environment = { id: query.get("environment") || "ant" };
     if (query.get("model")) environment.options = { model: query.get("model") };
@@ -75,6 +99,37 @@ export function useSubmission(send, document) {
   const reset = () => (setBusy(false), setProblem(null));
   const isAsSent = ({ pointer }) => isSame(valueAt(sent, pointer), valueAt(document, pointer));
   return { problem, errors: (problem?.errors || []).filter(isAsSent), setProblem, isBusy, reset, submit };
+}
+
+const SETTLE_MS = 500;
+
+/**
+ * What the service says to a document that has not changed for a while; nothing before the first change.
+ * @param {string} path Where it checks such documents, and stores nothing.
+ * @returns {{isChecked: boolean, problem: Error | null, errors: object[]}} isChecked: whether it took or refused
+ *   the document as it is now. errors: the last refusal's places whose values have not changed since.
+ */
+export function useCheck(path, document) {
+  const first = useRef(document);
+  const [answer, setAnswer] = useState({});
+  useEffect(() => {
+    if (document === first.current) return undefined;
+    const control = new AbortController();
+    const timer = setTimeout(async () => {
+      try {
+        await send(path, { method: "POST", body: JSON.stringify(document), type: "application/json", signal: control.signal });
+        setAnswer({ of: document, problem: null });
+      } catch (problem) {
+        if (!control.signal.aborted) setAnswer({ of: document, problem });
+      }
+    }, SETTLE_MS);
+    return () => {
+      clearTimeout(timer);
+      control.abort();
+    };
+  }, [document]);
+  const isAsAsked = ({ pointer }) => isSame(valueAt(answer.of, pointer), valueAt(document, pointer));
+  return { isChecked: answer.of === document, problem: answer.problem || null, errors: (answer.problem?.errors || []).filter(isAsAsked) };
 }
 
 /** The value at a JSON pointer. */

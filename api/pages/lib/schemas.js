@@ -36,6 +36,37 @@ export function withoutNull(schema, all) {
   return { schema: { ...resolve(forms[0], all), ...own }, isNullable };
 }
 
+/**
+ * The forms that a list's items may have, by the value of the field that tells them apart, `tag`; null where items
+ * are no objects. Items of a single form may have no such field.
+ * @returns {{tag: string, forms: Map<string, object>} | null}
+ */
+export function itemsOf(schema, all) {
+  const items = schema.type === "array" && schema.items ? resolve(schema.items, all) : {};
+  if (items.discriminator) {
+    const { propertyName: tag, mapping } = items.discriminator;
+    return { tag, forms: new Map(Object.entries(mapping).map(([kind, $ref]) => [kind, resolve({ $ref }, all)])) };
+  }
+  if (!items.properties) return null;
+  const [tag, field] = Object.entries(items.properties).find(([, { const: kind }]) => kind !== undefined) || ["", {}];
+  return { tag, forms: new Map([[field.const ?? "", items]]) };
+}
+
+/** What an object says besides the defaults of its schema; its tag stays. */
+export const beyondDefaults = (value, { properties }) =>
+  Object.fromEntries(Object.entries(value).filter(([name, one]) => properties[name]?.const !== undefined || !isSame(one, properties[name]?.default)));
+
+const isSame = (one, other) => JSON.stringify(one) === JSON.stringify(other);
+
+/** The bounds of a number, in words; "" where there are none that one would meet. */
+export function boundsOf({ type, minimum, exclusiveMinimum, maximum, exclusiveMaximum }) {
+  if (type !== "number" && type !== "integer") return "";
+  const isNear = (bound) => bound !== undefined && Math.abs(bound) < 1e6;
+  const low = isNear(minimum) ? `at least ${minimum}` : isNear(exclusiveMinimum) ? `more than ${exclusiveMinimum}` : "";
+  const high = isNear(maximum) ? `at most ${maximum}` : isNear(exclusiveMaximum) ? `less than ${exclusiveMaximum}` : "";
+  return [low, high].filter(Boolean).join(", ");
+}
+
 // `kind` says what the other fields are; name and labels change no result.
 const FIXED = new Set(["kind", "name", "labels", "environment"]);
 const OPTIONS = "environment.options.";

@@ -1,8 +1,8 @@
 /** A sweep that is being written: what the form holds, and the document that is sent. */
 
 import { get } from "./api.js";
-import { fromAddress } from "./draft.js";
-import { environmentOf, optionsOf, title } from "./job.js";
+import { fromAddress, jobOf, parsed } from "./draft.js";
+import { title } from "./job.js";
 import { openapi } from "./schemas.js";
 
 /** What only some methods take; the form keeps it meanwhile. */
@@ -31,16 +31,9 @@ export async function draftFrom(query) {
 }
 
 /** The job as the form writes it. */
-export function asWritten({ environment, labels, ...job }) {
-  const spec = { environment };
-  const options = optionsOf(spec);
+export function asWritten({ labels, ...job }) {
   const own = Object.fromEntries(Object.entries(labels || {}).filter(([name]) => !OF_TRIALS.includes(name)));
-  return {
-    kind: "train",
-    ...job,
-    ...(Object.keys(own).length && { labels: own }),
-    environment: { id: environmentOf(spec), ...(Object.keys(options).length && { options }) },
-  };
+  return jobOf({ ...job, ...(Object.keys(own).length && { labels: own }) });
 }
 
 /** The draft of a document as `POST /sweeps` takes it, or `GET /sweeps/{id}` shows it. */
@@ -84,12 +77,7 @@ function axisOf(axis, method) {
 
 /** What text stands for: a job, or a whole sweep, as JSON. Raises an Error with a sentence. */
 export function readDraft(text, before) {
-  let found;
-  try {
-    found = JSON.parse(text);
-  } catch (error) {
-    throw new Error(`This is not JSON: ${error.message}`);
-  }
+  const found = parsed(text);
   const isSweep = typeof found?.job === "object" && found.job !== null;
   const job = isSweep ? found.job : found;
   if (!job?.environment) throw new Error("This is neither a job nor a sweep: a job has an `environment`, and a sweep a `job`.");

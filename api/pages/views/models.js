@@ -100,6 +100,7 @@ function Recipe({ model: { id, description: { recipe, recipe_notes: notes = [] }
   return html`<details><summary>A job in which it learns to walk by command</summary>
     ${notes.map((note) => html`<p class="facts"><${Prose} text=${note} /></p>`)}
     <${Copy} text=${JSON.stringify(job, null, 2)} name="The job as JSON" />
+    <p><a href=${href(["submit"], { job: JSON.stringify(job) })}>Open it in the form</a></p>
   </details>`;
 }
 

@@ -6,7 +6,7 @@ import { html, useState } from "../../lib/html.js";
 import { algorithmOf, environmentOf, title } from "../../lib/job.js";
 import { asWritten, draftOf, readDraft } from "../../lib/sweep_draft.js";
 import { Failure, Prose } from "../../parts/elements.js";
-import { JobFields } from "../submit/job.js";
+import { JobFields, Pasted } from "../submit/job.js";
 
 const SOURCES = { example: "An example", job: "Another job", text: "Pasted JSON" };
 
@@ -37,7 +37,7 @@ function Source({ draft, renew, given, jobs }) {
     </div>
     ${source === "example" && html`<${FromExample} given=${given} renew=${renew} />`}
     ${source === "job" && html`<${FromJob} jobs=${jobs} renew=${renew} setError=${setError} />`}
-    ${source === "text" && html`<${FromText} draft=${draft} renew=${renew} setError=${setError} />`}
+    ${source === "text" && html`<${Pasted} label="A job or a whole sweep, as JSON" take=${(text) => renew(readDraft(text, draft))} />`}
     ${error && html`<${Failure} error=${error} />`}
   `;
 }
@@ -79,22 +79,5 @@ function FromJob({ jobs, renew, setError }) {
       ${jobs.map((job) => html`<option key=${job.id} value=${job.id}>${title(job)} · ${environmentOf(job.spec)} · ${ago(job.created_at)}</option>`)}
     </select>
     <p class="facts">The axes stay. On an older job's page: “Sweep over these settings”.</p>
-  </div>`;
-}
-
-function FromText({ draft, renew, setError }) {
-  const [text, setText] = useState("");
-  const take = () => {
-    try {
-      renew(readDraft(text, draft));
-      setError(null);
-    } catch (error) {
-      setError(error);
-    }
-  };
-  return html`<div class="field">
-    <label for="pasted">A job or a whole sweep, as JSON</label>
-    <textarea id="pasted" rows="6" value=${text} onInput=${({ target }) => setText(target.value)} spellcheck="false"></textarea>
-    <p class="actions"><button type="button" onClick=${take}>Take it</button></p>
   </div>`;
 }

@@ -5,30 +5,35 @@ import { ago, modelName } from "../../lib/format.js";
 import { html, useEffect, useId, useState } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
 import { href } from "../../lib/route.js";
+import { itemsOf, withoutNull } from "../../lib/schemas.js";
 import { Failure, Loading, Prose } from "../../parts/elements.js";
 import { Field } from "../../parts/field.js";
 
+/** environment: as `useEnvironment` has it under the document's options, once these are right. */
 export function EnvironmentPart({ all, document, set, errors, environments, environment, problem }) {
   const families = byFamily(environments);
   const wrong = errors.filter(({ pointer }) => ["/environment", "/environment/id"].includes(pointer));
   const { id, options: { model } = {} } = document.environment;
   const choose = (event) => set(["environment"], { id: event.target.value });
-  const options = environment?.options;
+  const listed = environments.find((one) => one.id === id);
+  const options = listed?.options;
   // References in an environment's own schema lead into that schema.
   const here = { ...all, ...(options?.$defs || {}) };
+  const isTask = Object.values(options?.properties || {}).some((one) => itemsOf(withoutNull(one, here).schema, here));
+  const isShown = ({ pointer }) => errors.some((error) => error.pointer === `/environment${pointer}`);
   return html`<fieldset><legend>Environment</legend>
     <div class="field wide">
       <label for="environment">Environment</label>
       <select id="environment" value=${id} onChange=${choose} aria-invalid=${wrong.length ? "true" : undefined}>
         ${[...families].map(([family, rows]) => html`<optgroup label=${family}>${rows.map((row) => html`<option value=${row.id}>${row.id}</option>`)}</optgroup>`)}
       </select>
-      <p class="facts"><${Prose} text=${environment?.description || ""} /></p>
+      <p class="facts"><${Prose} text=${listed?.description || ""} /></p>
       ${id === "mjcf" && html`<${OwnModels} chosen=${model} choose=${(one) => set(["environment", "options", "model"], one)} />`}
       ${wrong.map(({ detail }) => html`<p class="error"><${Prose} text=${detail} /></p>`)}
-      ${problem && html`<${Failure} error=${problem} />`}
+      ${problem && !(problem.errors?.length && problem.errors.every(isShown)) && html`<${Failure} error=${problem} />`}
     </div>
     ${options && Object.keys(options.properties || {}).length > 0 &&
-    html`<${Field} all=${here} document=${document} set=${set} errors=${errors} path=${["environment", "options"]} schema=${options} planned=${{}} />`}
+    html`<${Field} all=${here} document=${document} set=${set} errors=${errors} path=${["environment", "options"]} schema=${options} planned=${{}} isOpen=${isTask} parts=${environment?.parts} />`}
   </fieldset>`;
 }
 
@@ -110,7 +115,7 @@ export function AlgorithmPart({ schema, environment, document, ...fields }) {
   const kind = document.algorithm?.kind || "ppo";
   return html`<fieldset><legend>Algorithm</legend>
     ${environment && !plannedFields(kind) && html`<p class="facts">On this environment, ${kind} needs more than its defaults.</p>`}
-    <${Field} ...${fields} document=${document} path=${["algorithm"]} schema=${schema} planned=${{ kind: "ppo" }} plannedFields=${plannedFields} firstFields=${firstFields} />
+    <${Field} ...${fields} document=${document} path=${["algorithm"]} schema=${schema} isFilled planned=${{ kind: "ppo" }} plannedFields=${plannedFields} firstFields=${firstFields} />
     <p class="facts">Grey values are those that a job on a ${device.toUpperCase()} takes here.</p>
   </fieldset>`;
 }

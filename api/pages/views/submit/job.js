@@ -2,9 +2,9 @@
 
 import { get } from "../../lib/api.js";
 import { at, put } from "../../lib/draft.js";
-import { html, useEffect, useState } from "../../lib/html.js";
+import { html, useEffect, useId, useRef, useState } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
-import { Copy, Prose } from "../../parts/elements.js";
+import { Copy, Failure, Prose } from "../../parts/elements.js";
 import { Field } from "../../parts/field.js";
 import { AlgorithmPart, EnvironmentPart } from "./environment.js";
 
@@ -54,7 +54,13 @@ export function useEnvironment(chosen) {
     const timer = setTimeout(() => setSettled(options), 400);
     return () => clearTimeout(timer);
   }, [options]);
-  return useLive((signal) => get(`/environments/${id}`, settled === "{}" ? {} : { options: settled }, { signal }), [id, settled]);
+  const model = at(chosen, ["options", "model"]);
+  const found = useLive((signal) => get(`/environments/${id}`, settled === "{}" ? {} : { options: settled }, { signal }), [id, settled]);
+  // While options are wrong, or asked about, the last right ones tell of the model's parts.
+  const last = useRef({});
+  if (found.data) last.current = { id, model, data: found.data };
+  const isOfThis = last.current.id === id && last.current.model === model;
+  return isOfThis ? { ...found, data: last.current.data } : found;
 }
 
 const FORMS = { JSON: (document) => JSON.stringify(document, null, 2), curl: asCurl, Python: asPython };
@@ -102,6 +108,37 @@ export function literal(value, indent = "") {
   const inner = `${indent}    `;
   const lines = Object.entries(value).map(([name, one]) => `${inner}${JSON.stringify(name)}: ${literal(one, inner)},`);
   return lines.length ? `{\n${lines.join("\n")}\n${indent}}` : "{}";
+}
+
+/** A text field for JSON. take: gets the text; it may raise an Error with a sentence. */
+export function Pasted({ label, take }) {
+  const id = useId();
+  const [text, setText] = useState("");
+  const [error, setError] = useState(null);
+  const press = () => {
+    try {
+      take(text);
+      setError(null);
+    } catch (refusal) {
+      setError(refusal);
+    }
+  };
+  return html`<div class="field">
+    <label for=${id}>${label}</label>
+    <textarea id=${id} rows="6" value=${text} onInput=${({ target }) => setText(target.value)} spellcheck="false"></textarea>
+    <p class="actions"><button type="button" onClick=${press}>Take it</button></p>
+    ${error && html`<${Failure} error=${error} />`}
+  </div>`;
+}
+
+/** What the service says to the job as it is written. check: what `useCheck` returns. */
+export function Checked({ check: { isChecked, problem, errors } }) {
+  const isRefused = problem && errors.length > 0;
+  return html`<div role="status" class="facts">
+    ${isRefused && html`<p class="error">The service would refuse this:</p><ul>${errors.map(({ pointer, detail }) => html`<li key=${pointer}><code>${pointer}</code> <${Prose} text=${detail} /></li>`)}</ul>`}
+    ${isChecked && problem && !problem.errors?.length && html`<p><${Prose} text=${problem.message} /></p>`}
+    ${isChecked && !problem && html`<p>Checked: the service would take this.</p>`}
+  </div>`;
 }
 
 export const Errors = ({ problem, errors, box }) =>
