@@ -1,7 +1,8 @@
-"""Makes the pictures of docs/pictures: `python -m bench.pictures page|gallery docs/pictures [NAME ...]`.
+"""Makes the pictures of docs/pictures: `python -m bench.pictures page|gallery|film docs/pictures [NAME ...]`.
 
 `page` trains two ants and a pendulum on this machine, for some minutes, and looks at them in Chromium.
 `gallery` trains each body, writes NAME-run.webp and prints what the first and the last evaluation measured.
+`film` writes the picture of one body from the file of a policy that was trained elsewhere: `--policy FILE`.
 Look at every picture before you commit it.
 """
 
@@ -9,18 +10,27 @@ import argparse
 import io
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import av
+import jax
+import mujoco
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from bench.stack import chromium, running_parts
+from core.algorithms.policy_file import read_policy
+from core.algorithms.ppo.policy import make_inference
+from core.environments import catalog, trajectory
+from core.environments.rollout import rollout
+from core.physics.choose import engine_builder
+from core.rendering.request import RenderRequest
 from gaitway.client import Client
 from gaitway.schema import JobView
+from worker.render.client import render
 
 _EXAMPLES = Path(__file__).parents[1] / "examples"
 _VIDEO = {"every_checkpoint": True, "seconds": 8, "width": 640, "height": 360}
@@ -40,7 +50,8 @@ _HEIGHT = 240
 class Shown:
     """A body that a job of docs/gallery.md trains, and the episodes of its policy that the picture shows.
 
-    num_steps: of an episode, in environment steps, at most.
+    num_steps: of an episode, in environment steps, at most. filmed: options of the environment in place of
+    those of the training. seed: of the episodes that are filmed.
     """
 
     job: dict[str, Any]
@@ -49,6 +60,8 @@ class Shown:
     seconds: float = 8
     num_steps: int = 1000
     num_episodes: int = 1
+    filmed: dict[str, Any] = field(default_factory=dict[str, Any])
+    seed: int = 0
     # Random actions on the left: a balanced pole hardly moves, and they show that it could fall.
     beside_random: bool = False
 
@@ -57,7 +70,12 @@ def _over_a_grid(**grid: Any) -> dict[str, Any]:
     return {"kind": "q_learning", "state_discretizer": {"kind": "disk_position_grid", **grid}}
 
 
+# New every two seconds, so that the picture shows several.
+_COMMAND = {"kind": "velocity", "forward": [0.3, 1.0], "left": [-0.2, 0.2], "every_s": 2.0, "standing": 0.0}
+
 SHOWN = {
+    "go1": Shown({"environment": "go1"}, seconds=6, filmed={"command": _COMMAND}),
+    "g1": Shown({"environment": "g1"}, width=240, seconds=6, filmed={"command": _COMMAND}),
     "inverted_pendulum": Shown({"environment": "inverted_pendulum"}, width=160, beside_random=True),
     # It stands still when it has reached its target, so an episode of the picture takes 1.5 s.
     "reacher": Shown(
@@ -92,12 +110,19 @@ SHOWN = {
 def main() -> None:
     """Make the page's pictures, or those of each body that is named, or of all."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("page", "gallery"))
+    parser.add_argument("what", choices=("page", "gallery", "film"))
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"gallery: of {', '.join(SHOWN)}")
+    parser.add_argument("--policy", type=Path, help="film: a checkpoint's policy")
     arguments = parser.parse_args()
     if unknown := [name for name in arguments.names if name not in SHOWN]:
         parser.error(f"There is no picture {unknown[0]!r}; there are {', '.join(SHOWN)}.")
+    if arguments.what == "film":
+        if len(arguments.names) != 1 or arguments.policy is None:
+            parser.error("film takes one NAME and a --policy.")
+        [name] = arguments.names
+        _keep_film(_acted(SHOWN[name], arguments.policy), arguments.folder / f"{name}-run.webp")
+        return
     with running_parts(workers=1) as parts, Client(parts.url) as client:
         if arguments.what == "page":
             with chromium("--enable-unsafe-swiftshader") as browser:
@@ -179,11 +204,13 @@ def _frames(client: Client, name: str, shown: Shown) -> Sequence[Image.Image]:
     trained = _ended(client, {**shown.job, "name": name, "video": None})
     _print_outcome(client, trained)
     environment = trained.spec["environment"]
+    environment = {**environment, "options": {**environment["options"], **shown.filmed}}
     policy = {"kind": "checkpoint", "job": trained.id}
     rollout = {
         "kind": "rollout",
         "environment": environment,
         "num_steps": shown.num_steps,
+        "seed": shown.seed,
         "video": {
             "cameras": list(shown.cameras),
             "width": shown.width,
@@ -219,12 +246,42 @@ def _print_outcome(client: Client, job: JobView) -> None:
                 print(f"  {metric.removeprefix('eval/')} {said}", flush=True)
 
 
+def _acted(shown: Shown, policy: Path) -> Sequence[Image.Image]:
+    """What the policy of a file does, in this process."""
+    info, options = catalog.resolve(shown.job["environment"], shown.filmed)
+    environment = catalog.make(info, options, engine_builder("native"))
+    act = make_inference(read_policy(policy.read_bytes()))
+    steps = min(shown.num_steps, round(shown.seconds / environment.dt))
+    key = jax.random.PRNGKey(shown.seed)
+    acted = rollout(environment, act, key=key, num_steps=steps, num_episodes=shown.num_episodes)
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        trajectory.save(place / "acted.npz", acted)
+        mujoco.mj_saveModel(environment.model, str(place / "model.mjb"), None)
+        request = RenderRequest(
+            trajectory=place / "acted.npz",
+            model=place / "model.mjb",
+            tracked_body=environment.tracked_body,
+            video=place / "film.mp4",
+            poster=place / "film.png",
+            cameras=list(shown.cameras),
+            width=shown.width,
+            height=_HEIGHT,
+            fps=_FPS,
+            seconds=shown.seconds,
+        )
+        render(request, timeout_s=600)
+        return _images(request.video)
+
+
 def _filmed(client: Client, rollout: dict[str, Any]) -> Sequence[Image.Image]:
     job = _ended(client, rollout)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        av.open(str(client.video(job.id, Path(folder, "film.mp4")))) as film,
-    ):
+    with tempfile.TemporaryDirectory() as folder:
+        return _images(client.video(job.id, Path(folder, "film.mp4")))
+
+
+def _images(video: Path) -> Sequence[Image.Image]:
+    with av.open(str(video)) as film:
         return [frame.to_image() for frame in film.decode(video=0)]
 
 

@@ -39,8 +39,14 @@ def test_a_new_metric_is_on_the_page_within_half_a_second(stack: Stack, tab: Tab
     measure(stack, attempt, 200, eval__episode_reward=2.5)
     # The feed is looked at each 100 ms; the bench `page` measures it, this waits for it.
     expect(page.get_by_role("img", name="Return. eval: last 2.5 at 200")).to_be_visible()
-    measure(stack, attempt, 300, eval__episode_reward=7.0)
+    levels = {"training__terrain_level_2": 0.25, "training__terrain_level_10": 0.75}
+    measure(stack, attempt, 300, eval__episode_reward=7.0, training__terrain_level=8.0, **levels)
     expect(page.get_by_role("img", name="last 7 at 300, least 1, greatest 7")).to_be_visible()
+    page.reload()
+    card = page.locator("section").filter(has=page.get_by_role("heading", name="Levels of the terrain"))
+    expect(card.get_by_role("listitem")).to_have_text(["level 225 %", "level 1075 %"])
+    expect(card.get_by_text("at level 8 in the mean")).to_be_visible()
+    tab.picture("job-levels")
 
 
 @pytest.mark.extra

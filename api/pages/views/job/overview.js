@@ -16,6 +16,8 @@ import { NewestReplay, replaysOf } from "./replay.js";
 
 // Terms of the reward, as environments name them.
 const TERM = /^eval\/episode_((?:reward|cost)_.+)$/;
+// The share of the environments that train at a level of the terrain.
+const LEVEL = /^training\/terrain_level_(\d+)$/;
 
 export function OverviewTab({ job, query, onMetrics, onPhase }) {
   return html`<div class="stack">
@@ -26,6 +28,7 @@ export function OverviewTab({ job, query, onMetrics, onPhase }) {
     </div>
     <div class="halves">
       <${Terms} metrics=${job.progress.metrics} />
+      <${Levels} metrics=${job.progress.metrics} />
       <${Costs} job=${job} onPhase=${onPhase} />
     </div>
     <${Battery} job=${job} />
@@ -90,21 +93,36 @@ function Summary({ job }) {
 function Terms({ metrics }) {
   const terms = Object.entries(metrics).filter(([name]) => TERM.test(name) && !name.endsWith("_std"));
   if (!terms.length) return null;
-  const most = Math.max(...terms.map(([, number]) => Math.abs(number)), 1e-12);
   return html`<section class="card"><h2>Reward by term</h2>
-    <ul class="bars">
-      ${terms.map(
-        ([name, number]) => html`<li key=${name}>
-          <span>${TERM.exec(name)[1]}</span>
-          <svg class="bar" viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true">
-            <rect class=${number < 0 ? "minus" : ""} width=${(100 * Math.abs(number)) / most} height="8" />
-          </svg>
-          <span class="facts">${value(number)}</span>
-        </li>`,
-      )}
-    </ul>
+    <${Bars} rows=${terms.map(([name, number]) => ({ name: TERM.exec(name)[1], number, said: value(number) }))} />
     <p class="facts">In an episode of the newest evaluation.</p>
   </section>`;
+}
+
+function Levels({ metrics }) {
+  const levels = Object.entries(metrics).flatMap(([name, share]) => (LEVEL.test(name) ? [[Number(LEVEL.exec(name)[1]), share]] : []));
+  if (!levels.length) return null;
+  levels.sort(([one], [other]) => one - other);
+  return html`<section class="card"><h2>Levels of the terrain</h2>
+    <${Bars} rows=${levels.map(([level, share]) => ({ name: `level ${level}`, number: share, said: `${value(100 * share)} %` }))} />
+    <p class="facts">Where the environments train now, at level ${value(metrics["training/terrain_level"])} in the mean. An environment goes up when it
+    leaves its terrain, and down when it falls or falls behind.</p>
+  </section>`;
+}
+
+function Bars({ rows }) {
+  const most = Math.max(...rows.map(({ number }) => Math.abs(number)), 1e-12);
+  return html`<ul class="bars">
+    ${rows.map(
+      ({ name, number, said }) => html`<li key=${name}>
+        <span>${name}</span>
+        <svg class="bar" viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true">
+          <rect class=${number < 0 ? "minus" : ""} width=${(100 * Math.abs(number)) / most} height="8" />
+        </svg>
+        <span class="facts">${said}</span>
+      </li>`,
+    )}
+  </ul>`;
 }
 
 function Attempts({ job }) {
