@@ -70,8 +70,7 @@ ROUTES: Mapping[str, Access] = {
     "GET /environments": _READ,
     "GET /environments/{environment_id}": _READ,
     "GET /environments/{environment_id:path}/preview": _READ,
-    "GET /environments/brax/{name}": _READ,
-    "GET /environments/playground/{name}": _READ,
+    "GET /environments/{package}/{name}": _READ,
     "GET /algorithms": _READ,
     "GET /workers": _READ,
     # It has the passwords of the stores, so that the audit log says who has asked.

@@ -26,6 +26,8 @@ from uvicorn.supervisors import multiprocess
 from api.app import from_environment
 from api.monitoring import SHARED_FOLDER
 from core.configuration import stopping_if_misconfigured
+from core.environments.catalog import PLUGINS
+from core.environments.plugins import log_each
 from core.errors import Misconfigured
 from core.telemetry import configure_logging
 
@@ -185,6 +187,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--port", type=int, default=8000, help="0 takes a free one; default: %(default)s")
     chosen = parser.parse_args(arguments)
     configure_logging("api")
+    log_each(PLUGINS)
     _serve(chosen.host, chosen.port)
 
 

@@ -26,7 +26,8 @@ from core.adapters.rq.queue import job_of
 from core.adapters.startup import check_stores
 from core.adapters.wiring import connect_redis, job_store, object_store
 from core.configuration import read, stopping_if_misconfigured
-from core.environments.catalog import find
+from core.environments.catalog import PLUGINS, find
+from core.environments.plugins import log_each
 from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.installation import to_install
 from core.jobs.job import utc_now
@@ -407,6 +408,7 @@ def serve_as_member(place: Place, settings: WorkerSettings, device: str) -> None
 def main() -> None:
     """Serve until a SIGTERM."""
     configure_logging("worker")
+    log_each(PLUGINS)
     if PARENT in os.environ:
         die_with_parent(signal.SIGTERM)
     settings = read(WorkerSettings)

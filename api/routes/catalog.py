@@ -31,7 +31,7 @@ def list_environments(
         str | None,
         Query(
             max_length=LONGEST_NAME,
-            description="`gaitway` for our own; `playground` or `brax` for those of that package.",
+            description="`gaitway` for our own; `playground`, `brax` or a plugin for those of that package.",
         ),
     ] = None,
 ) -> Listing[EnvironmentView]:
@@ -62,26 +62,16 @@ def read_environment(
     return environment_details(info_under(environment_id, options, service.store, principal))
 
 
-@router.get("/environments/playground/{name}", responses=_REFUSALS)
-def read_playground_environment(
+@router.get("/environments/{package}/{name}", responses=_REFUSALS)
+def read_packages_environment(
+    package: Annotated[str, Path(max_length=LONGEST_NAME, examples=["playground"])],
     name: Annotated[str, Path(max_length=LONGEST_NAME, examples=["CheetahRun"])],
     service: ServiceDep,
     principal: PrincipalDep,
     options: Options = None,
 ) -> EnvironmentDetails:
-    """One of MuJoCo Playground's environments."""
-    return environment_details(info_under(f"playground/{name}", options, service.store, principal))
-
-
-@router.get("/environments/brax/{name}", responses=_REFUSALS)
-def read_brax_environment(
-    name: Annotated[str, Path(max_length=LONGEST_NAME, examples=["ant"])],
-    service: ServiceDep,
-    principal: PrincipalDep,
-    options: Options = None,
-) -> EnvironmentDetails:
-    """One of Brax's environments."""
-    return environment_details(info_under(f"brax/{name}", options, service.store, principal))
+    """An environment of another package: `playground`, `brax`, or one that adds its own here."""
+    return environment_details(info_under(f"{package}/{name}", options, service.store, principal))
 
 
 @router.get("/algorithms")

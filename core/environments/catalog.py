@@ -26,6 +26,7 @@ from core.environments.locomotion.inverted_pendulum import INVERTED_PENDULUM
 from core.environments.locomotion.planar import HOPPER, WALKER2D
 from core.environments.locomotion.reacher.info import INFO as REACHER
 from core.environments.mjcf.info import INFO as MJCF
+from core.environments.plugins import Plugin, installed, named_in, why_unknown
 from core.environments.robots.info import INFOS as ROBOTS
 from core.errors import EnvironmentNotFound, Problem, Rejected
 from core.nearest import nearest
@@ -43,9 +44,15 @@ BUILT_IN: dict[str, EnvironmentInfo] = {
         MJCF,
     )
 }
+PLUGINS = installed()
 # Ours first, then those of other packages, under the name of the package.
 ENVIRONMENTS: dict[str, EnvironmentInfo] = BUILT_IN | {
-    info.id: info for info in (*playground.INFOS, *brax_registry.INFOS)
+    info.id: info
+    for info in (
+        *(row for plugin in PLUGINS for row in plugin.rows),
+        *playground.INFOS,
+        *brax_registry.INFOS,
+    )
 }
 # The environments of those packages that no worker can load, with the reason.
 CANNOT: dict[str, str] = playground.CANNOT | brax_registry.CANNOT
@@ -57,6 +64,8 @@ def find(environment_id: str) -> EnvironmentInfo:
         return ENVIRONMENTS[environment_id]
     if environment_id in CANNOT:
         detail = f"{environment_id!r} is not available here: {CANNOT[environment_id]}."
+    elif named_in(environment_id, ()):
+        detail = why_unknown(environment_id, PLUGINS)
     else:
         near = _nearest(environment_id)
         suggestion = f" Did you mean {near!r}?" if near else ""
@@ -66,6 +75,17 @@ def find(environment_id: str) -> EnvironmentInfo:
             f"There is no environment {environment_id!r}.{suggestion} There are {_known(environment_id)}."
         )
     raise EnvironmentNotFound(detail, environment=environment_id, environments=list(ENVIRONMENTS))
+
+
+def plugin_named(name: str) -> Plugin | None:
+    """The plugin of this entry point, if it could be loaded here."""
+    return next((plugin for plugin in PLUGINS if plugin.name == name and not plugin.problem), None)
+
+
+def plugin_versions(environment_id: str, options: Mapping[str, object]) -> dict[str, str]:
+    """The distributions here whose terms or bodies a job names, each with its version and its code's hash."""
+    plugins = map(plugin_named, sorted(named_in(environment_id, options)))
+    return {plugin.package: plugin.exact_version for plugin in plugins if plugin is not None}
 
 
 def _nearest(environment_id: str) -> str | None:
@@ -90,7 +110,7 @@ def parse_options(info: EnvironmentInfo, options: Mapping[str, object]) -> Stric
         parsed = info.options.model_validate(dict(options))
     except ValidationError as error:
         wrong = error.errors(include_url=False)[:MOST_PROBLEMS]
-        problems = [_problem(info, _place(details, options), details["msg"]) for details in wrong]
+        problems = [_problem(info, _place(details, options), _message(details)) for details in wrong]
         raise _refusal(info, problems) from None
     if info.check is not None and (problems := list(info.check(parsed))):
         raise _refusal(info, problems)
@@ -138,6 +158,11 @@ def _place(error: Mapping[str, Any], options: object) -> tuple[int | str, ...]:
                 continue
         place.append(part)
     return tuple(place)
+
+
+def _message(error: Mapping[str, Any]) -> str:
+    tag = str(error["ctx"]["tag"]) if error["type"] == "union_tag_invalid" else ""
+    return why_unknown(tag, PLUGINS).removesuffix(".") if "/" in tag else error["msg"]
 
 
 def _problem(info: EnvironmentInfo, location: tuple[int | str, ...], message: str) -> Problem:

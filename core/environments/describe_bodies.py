@@ -8,6 +8,9 @@ from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.environments.dm_control.corridor.walkers import WALKERS, Walker
 from core.environments.page_env import parts_of
+from core.environments.plugins import Plugin, bodies_of, digest_of, robot_of
+from core.environments.robots.model import spec
+from core.environments.task_model import compiled
 from core.environments.terms.describe import inventory
 from core.environments.terms.inventory import TABLE, Inventory
 from core.physics.model import brax_model
@@ -31,6 +34,17 @@ def walker(name: Walker) -> dict[str, Any]:
     parts = inventory(corridor_model(CorridorOptions.model_validate({"walker": name, "arena": "empty"})))
     carried = parts.bodies[parts.bodies.index(WALKERS[name].trunk) :]
     return _as_json(parts.model_copy(update={"bodies": carried, "geoms": []}))
+
+
+def bodies_of_plugin(plugin: Plugin) -> dict[str, Any]:
+    """The table that lies beside a plugin's module. Raises BadPlugin, JobFailed."""
+    if plugin.module is None:
+        return {}
+    robots = {body.name: robot_of(plugin.name, body, plugin.module) for body in bodies_of(plugin.module)}
+    return {
+        name: {"of": digest_of(robot), "parts": _as_json(inventory(compiled(spec(robot))), names_geoms=True)}
+        for name, robot in robots.items()
+    }
 
 
 def _as_json(parts: Inventory, *, names_geoms: bool = False) -> dict[str, Any]:

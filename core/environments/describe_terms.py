@@ -1,5 +1,7 @@
-"""Makes docs/tasks.md, a page of every term: `python -m core.environments.describe_terms`."""
+"""Makes docs/tasks.md, a page of every term: `python -m core.environments.describe_terms`. With the name of a
+plugin, it prints the plugin's terms instead."""
 
+import sys
 from collections.abc import Iterator
 from inspect import cleandoc, getdoc
 from pathlib import Path
@@ -10,10 +12,12 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from core.environments.patterns import PATTERNS
+from core.environments.plugins import LISTS, Plugin, installed, list_of
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.term import CostTerm, RewardTerm
 
+_HEAD = ("| kind | what it is | fields |", "|---|---|---|")
 PAGE = Path(__file__).parents[2] / "docs" / "tasks.md"
 _BEGINNING = """# Tasks: every term
 
@@ -41,6 +45,17 @@ def page() -> str:
     return "\n".join([_BEGINNING, *filter(None, sections)])
 
 
+def page_of_plugin(plugin: Plugin) -> str:
+    """The plugin's terms, in Markdown."""
+    lines = [f"# {plugin.label}"]
+    for option in LISTS:
+        if terms := [term for term in plugin.terms if list_of(term) == option]:
+            lines += ["", f"## `{option}`", "", *_HEAD, *map(_row, terms)]
+    for row in plugin.rows:
+        lines += ["", f"## `{row.id}`", "", row.description]
+    return "\n".join(lines) + "\n"
+
+
 def members(annotation: Any) -> Iterator[type[BaseModel]]:
     """The classes that an annotation allows, in its order."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -66,7 +81,7 @@ def _section(option: str, field: FieldInfo) -> str:
         [single] = classes
         lines += ["| field | default | |", "|---|---|---|"]
         return "\n".join([*lines, *(_field(name, one) for name, one in single.model_fields.items()), ""])
-    return "\n".join([*lines, "| kind | what it is | fields |", "|---|---|---|", *map(_row, classes), ""])
+    return "\n".join([*lines, *_HEAD, *map(_row, classes), ""])
 
 
 def _row(term: type[BaseModel]) -> str:
@@ -110,4 +125,7 @@ def _escaped(text: str) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page())
+    if names := sys.argv[1:]:
+        print(*(page_of_plugin(plugin) for plugin in installed() if plugin.name in names), sep="\n", end="")  # noqa: T201
+    else:
+        PAGE.write_text(page())

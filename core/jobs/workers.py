@@ -12,6 +12,7 @@ from core.devices import gpu_indices
 from core.documents import Stored
 from core.environments import catalog
 from core.environments.info import Device
+from core.environments.plugins import named_in
 from core.errors import GaitwayError
 from core.installation import to_install, to_install_robots
 from core.jobs.job import Job
@@ -96,14 +97,18 @@ _EXTRAS: dict[str, str] = {
 
 
 def packages_here() -> tuple[str, ...]:
-    """The optional packages that are installed here; none is imported."""
+    """The optional packages that are installed here, which are not imported; and the plugins that work."""
     rows = catalog.ENVIRONMENTS.values()
     optional = {*PACKAGES.values(), *(info.package for info in rows if info.package is not None)}
-    return tuple(package for package in sorted(optional) if find_spec(package) is not None)
+    there = [package for package in optional if find_spec(package) is not None]
+    return tuple(sorted((*there, *(plugin.name for plugin in catalog.PLUGINS if not plugin.problem))))
 
 
 def how_to_install(package: str) -> str:
-    """The command that installs an optional package, or only its name. package: its import name."""
+    """The command that installs an optional package, or only its name. package: its import name, or that of a
+    plugin."""
+    if (plugin := catalog.plugin_named(package)) is not None:
+        return f"the Python package {plugin.package}, here {plugin.version}"
     if package == "mjlab":
         return to_install_robots()
     extra = _EXTRAS.get(package)
@@ -111,11 +116,13 @@ def how_to_install(package: str) -> str:
 
 
 def packages_for(job: Job) -> Mapping[str, str]:
-    """The optional packages that the job needs, each with what needs it."""
+    """The optional packages and the plugins that the job needs, each with what needs it."""
     environment, needed = job.spec.environment.id, dict[str, str]()
     info = catalog.ENVIRONMENTS.get(environment)
     if info is not None and info.package is not None:
         needed[info.package] = f"the environment {environment}"
+    for plugin in named_in(environment, job.spec.environment.options):
+        needed[plugin] = f"the terms and bodies {plugin}/…"
     engine = job.spec.physics
     if engine == "auto" and isinstance(job.spec, TrainSpec) and job.begun is not None:
         engine = job.begun.engine  # Its checkpoint was made with it.

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 
 from core.documents import Stored
+from core.environments.catalog import PLUGINS
 from worker.protocol import Failed, Task
 
 _PACKAGES = ("gaitway", "jax", "jaxlib", "brax", "mujoco", "mujoco-mjx")
@@ -86,4 +87,5 @@ def encoded(message: GangMessage) -> bytes:
 
 
 def versions_here() -> dict[str, str]:
-    return {name: version(name) for name in _PACKAGES}
+    plugins = {plugin.package: plugin.exact_version for plugin in PLUGINS if not plugin.problem}
+    return {**plugins, **{name: version(name) for name in _PACKAGES}}

@@ -4,7 +4,9 @@ from pathlib import Path
 from typing import get_args
 
 from core.algorithms.catalog import reported
+from core.environments import catalog
 from core.environments.mjcf.edit_check import edited
+from core.environments.mjcf.info import INFO as MJCF
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import JobFailed, ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs.attempts import Claim
@@ -26,8 +28,9 @@ _FILE, _BEST = "start.msgpack", "policy-best-before"
 def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
     """Write what the training process needs to the spool; returns notes for users on what was wrong with it.
 
-    Raises Rejected or NotFound if the checkpoint of another job has been deleted meanwhile; JobFailed if the
-    model has ("bad_model"), or if no checkpoint of another job is whole ("bad_checkpoint").
+    Raises Rejected or NotFound if the checkpoint of another job has been deleted meanwhile, or if the job
+    names what this worker does not have; JobFailed if the model has been deleted ("bad_model"), or if no
+    checkpoint of another job is whole ("bad_checkpoint").
     """
     notes: list[str] = []
     task = Task(
@@ -122,7 +125,8 @@ def _as_begun(task: Task, begun: Attempt | None) -> Task:
         return task
     if had := begun.details.get("hyperparameters"):
         spec = spec.model_copy(update={"algorithm": reported(had)})
-    return task.model_copy(update={"spec": spec, "begun_on": _choice(begun.engine)})
+    known = {"begun_on": _choice(begun.engine), "made_with": begun.details.get("versions", {})}
+    return task.model_copy(update={"spec": spec, **known})
 
 
 def _with_source(task: Task, claim: Claim) -> Task:
@@ -134,6 +138,8 @@ def _with_source(task: Task, claim: Claim) -> Task:
     if source is None:
         return task
     source_job = claim.store.get(source.job)
+    made = [attempt.details["versions"] for attempt in source_job.attempts if "versions" in attempt.details]
+    task = task.model_copy(update={"made_with": made[-1] if made else {}})
     if source.is_best and isinstance(source_job.spec, TrainSpec):
         return task.model_copy(update={"policy_of": source_job.spec.algorithm.algorithm()})
     if isinstance(spec, RolloutSpec) and source_job.seeds:
@@ -166,7 +172,8 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
     except ModelNotFound:
         raise JobFailed(Reason.BAD_MODEL, f"The model {model_id} was deleted before the job began.") from None
     described = record.description
-    options = MjcfOptions.model_validate(task.spec.environment.options)
+    options = catalog.parse_options(MJCF, task.spec.environment.options)
+    assert isinstance(options, MjcfOptions)  # noqa: S101
     known = {"engines_that_cannot": dict(engines_that_cannot(described, options))}
     body = None if described is None else edited(described.inventory, options.edits).body_size
     return task.model_copy(update={"model": "model", "body": body, **known})

@@ -6,7 +6,7 @@ The process finds what was compiled before, and leaves what it compiles.
 import os
 import platform
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -85,7 +85,23 @@ class BuiltEnvironment:
     def versions(self) -> dict[str, str]:
         """Of the packages that the numbers depend on."""
         also = [*_ENGINES_PACKAGES.get(self.engine, ()), *_brought_by(self.info)]
-        return {name: version(name) for name in ("gaitway", "jax", "brax", "mujoco", "mujoco-mjx", *also)}
+        names = ("gaitway", "jax", "brax", "mujoco", "mujoco-mjx", *also)
+        environment = self.job.spec.environment
+        plugins = catalog.plugin_versions(environment.id, environment.options)
+        return {**{name: version(name) for name in names}, **plugins}
+
+    def other_versions(self, made_with: Mapping[str, str]) -> str | None:
+        """A sentence where the checkpoint was made with other versions than those here.
+
+        made_with: `versions` of the attempt that made it.
+        """
+        here = self.versions
+        differing = [name for name, had in made_with.items() if here.get(name, had) != had]
+        if not differing:
+            return None
+        had = ", ".join(f"{name} {made_with[name]}" for name in differing)
+        has = ", ".join(f"{name} {here[name]}" for name in differing)
+        return f"The checkpoint was made with {had}; this worker has {has}. The run may go on differently."
 
     def made_on(self, engine: EngineName, options: Strict) -> Environment:
         """The body under these options, on another engine. Raises JobFailed."""

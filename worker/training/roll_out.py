@@ -24,7 +24,7 @@ from core.environments.trajectory import Episode
 from core.errors import JobFailed
 from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, RolloutSpec, ZeroPolicy
 from core.reasons import Reason
-from worker.protocol import Advanced, Measured, PhaseBegan, Task
+from worker.protocol import Advanced, Measured, Noted, PhaseBegan, Task
 from worker.stopping import StopRequest
 from worker.training.battery import BatteryWriter
 from worker.training.built_environment import BuiltEnvironment
@@ -44,6 +44,8 @@ def roll_out(
     Nothing is kept for an attempt elsewhere, which starts again. Raises JobFailed("diverged").
     """
     events.send(built.started(policy=spec.policy.model_dump()))
+    if differs := built.other_versions(task.made_with):
+        events.send(Noted(text=differs))
     policy, env = policy_and_environment(task, spec, built, events)
     whole, built = built, replace(built, environment=env)
     events.send(PhaseBegan(phase="acting"))

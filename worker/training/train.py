@@ -68,6 +68,8 @@ def train(
     """
     settings = built.job.settings_on(built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
+    if differs := built.other_versions(task.made_with):
+        events.send(Noted(text=differs))
     check_memory(built.job.memory_on(built.device, built.num_devices), built.device)
     run, policies = begin_or_resume(task, spec, settings, built, events)
     exports = ExportWriter(settings.algorithm(), built)

@@ -19,7 +19,6 @@ G1 = Robot(
     package="mjlab",
     file="asset_zoo/robots/unitree_g1/xmls/g1.xml",
     timestep=0.005,
-    root="pelvis",
     feet=("left_ankle_roll_link", "right_ankle_roll_link"),
     edits=ModelEdits(
         floor=True,

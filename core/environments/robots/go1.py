@@ -19,7 +19,6 @@ GO1 = Robot(
     package="mjlab",
     file="asset_zoo/robots/unitree_go1/xmls/go1.xml",
     timestep=0.005,
-    root="trunk",
     feet=("FR_calf", "FL_calf", "RR_calf", "RL_calf"),
     edits=ModelEdits(
         floor=True,

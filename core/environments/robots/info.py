@@ -141,7 +141,8 @@ class Go1Options(JoystickOptions):
     )
 
 
-def _row(robot: Robot, options: type[TaskOptions], description: str) -> EnvironmentInfo:
+def robot_page(robot: Robot, options: type[TaskOptions], description: str) -> EnvironmentInfo:
+    """The row of a robot. options: the class of its task."""
     return page(
         robot.name,
         "core.environments.robots.model:robot",
@@ -160,6 +161,6 @@ def _row(robot: Robot, options: type[TaskOptions], description: str) -> Environm
 
 
 INFOS = (
-    _row(G1, G1Options, "Unitree's humanoid G1, which walks by velocity command."),
-    _row(GO1, Go1Options, "Unitree's quadruped Go1, which walks by velocity command."),
+    robot_page(G1, G1Options, "Unitree's humanoid G1, which walks by velocity command."),
+    robot_page(GO1, Go1Options, "Unitree's quadruped Go1, which walks by velocity command."),
 )

@@ -28,7 +28,8 @@ def spec(robot: Robot, edits: ModelEdits | None = None) -> mujoco.MjSpec:
     Raises JobFailed("bad_model") where the package is not installed.
     """
     found = mujoco.MjSpec.from_file(str(file_of(robot)))
-    found.option.timestep = robot.timestep
+    if robot.timestep is not None:
+        found.option.timestep = robot.timestep
     edit(found, robot.edits if edits is None else edits)
     return found
 

@@ -9,14 +9,13 @@ from core.environments.mjcf.edit_options import ModelEdits
 class Robot:
     """A file of a package, and how it becomes a body that can be trained.
 
-    package: its import name; it is never imported. file: its place in the package. edits: what is changed
-    before it is compiled. timestep: s. root: the body with the free joint. feet: in the order of terms.
+    package: its import name. file: its place in the package. edits: what is changed before it is compiled.
+    timestep: s; None: the file's. feet: in the order of terms.
     """
 
     name: str
     package: str
     file: str
     edits: ModelEdits
-    timestep: float
-    root: str
-    feet: tuple[str, ...]
+    timestep: float | None = None
+    feet: tuple[str, ...] = ()

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,8 @@ import numpy as np
 from core.environments.terms.foot_times import FootTimes
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.term import Array, Term
+from core.errors import JobFailed
+from core.reasons import Reason
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,20 @@ def bound(term: Term, model: ModelIndex) -> BoundTerm:
         earlier_action=nothing,
         control=np.zeros(model.model.nu),
     )  # fmt: skip
-    size = np.size(term.measure(step, model))
-    return BoundTerm(frozenset(derived.read), size, lambda step: term.measure(step, model))
+    measure = partial(_measured, term, model)
+    size = np.size(measure(step))
+    return BoundTerm(frozenset(derived.read), size, measure)
+
+
+def _measured(term: Term, model: ModelIndex, step: Step) -> Array:
+    """The term's value. Raises JobFailed where the code of a plugin's term fails."""
+    try:
+        return term.measure(step, model)
+    except Exception as error:
+        if "/" not in term.label:
+            raise
+        words = f"{type(error).__name__}: {error}".splitlines()[0][:500]
+        raise JobFailed(Reason.BAD_MODEL, f"The term {term.label} cannot be computed. {words}") from error
 
 
 class _Noted(Mapping[str, np.ndarray]):

@@ -13,6 +13,8 @@ from core.physics.availability import BodySize, EngineName
 
 # `core.environments.describe_bodies` makes it of the catalog's bodies.
 TABLE = Path(__file__).parents[1] / "inventories.json"
+# Those of the bodies of plugins.
+OF_PLUGINS: dict[str, "Inventory"] = {}
 Kind = Literal["body", "geom", "joint", "sensor"]
 JointType = Literal["free", "ball", "slide", "hinge"]
 # On a joint: the control is a position, a velocity, or a torque or force.
@@ -169,4 +171,4 @@ def inventory_of(body: str) -> Inventory:
 
     Raises KeyError for a body that the table lacks.
     """
-    return Inventory.model_validate(json.loads(TABLE.read_text())[body])
+    return OF_PLUGINS.get(body) or Inventory.model_validate(json.loads(TABLE.read_text())[body])

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field
 
 from core.environments.terms.commands import HEIGHT, PITCH
-from core.environments.terms.term import Array, OfBody, Term
+from core.environments.terms.term import Array, Kinds, OfBody, Term
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -21,7 +21,14 @@ Motion = Literal[
 ]
 
 
-class Travel(OfBody, Term):
+class MetricTerm(Term):
+    """`measure` is a number [] by the name of each metric."""
+
+
+METRICS = Kinds(MetricTerm)
+
+
+class Travel(OfBody, MetricTerm):
     """Where a body is and how fast it moves, along the world's axes: m, m/s."""
 
     kind: Literal["travel"] = "travel"
@@ -48,7 +55,7 @@ class Travel(OfBody, Term):
         return {name: all_of_them[name] for name in self.report}
 
 
-class DistanceFromStart(Term):
+class DistanceFromStart(MetricTerm):
     """`distance_from_start`: how far the root is from where the episode began, along the ground, in m."""
 
     remembers = frozenset({"start"})
@@ -61,7 +68,7 @@ class DistanceFromStart(Term):
         return {self.kind: step.xp.linalg.norm(position[:2] - step.start[:2])}
 
 
-class FollowedCommand(Term):
+class FollowedCommand(MetricTerm):
     """How far the root is from the command: `velocity_error` in m/s, `turn_error` in rad/s; `height_error` in
     m and `pitch_error` in rad where these are told."""
 
@@ -83,7 +90,7 @@ class FollowedCommand(Term):
         return errors
 
 
-class FollowedPosition(Term):
+class FollowedPosition(MetricTerm):
     """`position_error`: how far the root is along the ground from the command's point, in m."""
 
     needs = frozenset({"position_command", "free_root"})
@@ -96,6 +103,4 @@ class FollowedPosition(Term):
         return {"position_error": step.xp.linalg.norm(away)}
 
 
-AnyMetric = Annotated[
-    Travel | DistanceFromStart | FollowedCommand | FollowedPosition, Field(discriminator="kind")
-]
+AnyMetric = Annotated[Travel | DistanceFromStart | FollowedCommand | FollowedPosition, METRICS]

@@ -186,8 +186,8 @@ class TaskOptions(Strict):
 
 
 def metric_names(terms: Sequence[AnyReward]) -> list[str]:
-    """The metric of each term: `reward_`, then its name or its kind."""
-    return [f"reward_{term.name or term.kind}" for term in terms]
+    """The metric of each term: `reward_`, then its name or its kind, without a plugin's name before it."""
+    return [f"reward_{term.name or term.kind.rpartition('/')[2]}" for term in terms]
 
 
 def task_slices(options: TaskOptions, model: Inventory, unit_of_action: str | None = None) -> Spaces:

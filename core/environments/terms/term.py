@@ -8,9 +8,10 @@ trains, NumPy beside MuJoCo's own data. Which fields of the physics it reads is 
 
 from collections.abc import Iterable, Sequence
 from math import ceil, floor
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union, get_args
 
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema
 
 from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
@@ -100,6 +101,21 @@ class Term(Strict):
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         """The term's value after a step: [], or [n] of an observation."""
         raise NotImplementedError
+
+
+class Kinds:
+    """In an annotation of ours: a union of terms, told apart by their kinds, and those of packages besides.
+
+    A pydantic model that holds such a union sees what is added later once it is built again.
+    """
+
+    def __init__(self, base: type[Term]) -> None:
+        self.base = base
+        self.added: tuple[type[Term], ...] = ()
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        terms: Any = Union[(*get_args(source), *self.added)]
+        return handler.generate_schema(Annotated[terms, Field(discriminator="kind")])
 
 
 def _with_usual_weight(schema: dict[str, Any], term: type["RewardTerm"]) -> None:

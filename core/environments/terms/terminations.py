@@ -7,7 +7,16 @@ from pydantic import Field
 
 from core.environments.options import Range
 from core.environments.patterns import PATTERNS, Patterns
-from core.environments.terms.term import Array, OfAxis, OfBody, OfBodyContact, OfContact, OfHeight, Term
+from core.environments.terms.term import (
+    Array,
+    Kinds,
+    OfAxis,
+    OfBody,
+    OfBodyContact,
+    OfContact,
+    OfHeight,
+    Term,
+)
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -15,6 +24,9 @@ if TYPE_CHECKING:
 
 class TerminationTerm(Term):
     """`measure` is 1 where it ends the episode, otherwise 0; []."""
+
+
+TERMINATIONS = Kinds(TerminationTerm)
 
 
 class OutsideHeightRange(OfHeight, TerminationTerm):
@@ -123,5 +135,5 @@ AnyTermination = Annotated[
     | BadOrientation
     | OutOfBounds
     | FellIntoHole,
-    Field(discriminator="kind"),
+    TERMINATIONS,
 ]

@@ -2,18 +2,19 @@
 
 from typing import Annotated
 
-from pydantic import Field
-
 from core.environments.terms.foot_terms import FootObservation, FootReward
 from core.environments.terms.locomotion import WalkingObservation, WalkingReward
-from core.environments.terms.observations import NumbersOfMujoco
+from core.environments.terms.observations import NumbersOfMujoco, ObservationTerm
 from core.environments.terms.randomized import Randomized
 from core.environments.terms.rewards import CommonReward
+from core.environments.terms.term import Kinds, RewardTerm
 from core.environments.terms.terrain import HeightScan
 from core.environments.terms.tracking import Command, TrackingReward
 
+REWARDS, OBSERVATIONS = Kinds(RewardTerm), Kinds(ObservationTerm)
+
 _Observation = NumbersOfMujoco | WalkingObservation | FootObservation | Command | HeightScan
-AnyObservation = Annotated[_Observation, Field(discriminator="kind")]
+AnyObservation = Annotated[_Observation, OBSERVATIONS]
 # No robot knows which physics was drawn for it, so only a value function may see that.
-AnyCriticObservation = Annotated[_Observation | Randomized, Field(discriminator="kind")]
-AnyReward = Annotated[CommonReward | WalkingReward | FootReward | TrackingReward, Field(discriminator="kind")]
+AnyCriticObservation = Annotated[_Observation | Randomized, OBSERVATIONS]
+AnyReward = Annotated[CommonReward | WalkingReward | FootReward | TrackingReward, REWARDS]

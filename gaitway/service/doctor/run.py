@@ -9,6 +9,7 @@ from pathlib import Path
 from gaitway.service.doctor import machine, services, settings
 from gaitway.service.doctor.check import Check
 from gaitway.service.doctor.machine import confinement
+from gaitway.service.doctor.plugins import plugins
 
 Checks = Mapping[str, Callable[[], Check]]
 
@@ -22,6 +23,7 @@ def examine(data: Path, *, embedded: bool = False) -> Iterator[Check]:
             "interpreter": machine.interpreter,
             "jax": machine.jax_devices,
             "physics": machine.physics,
+            "plugins": plugins,
             "renderer": machine.renderer,
             "encoder": machine.encoder,
             "disk": lambda: machine.disk(folder),

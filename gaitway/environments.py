@@ -1,0 +1,80 @@
+"""What a package of your own is written with: terms of tasks, and bodies (docs/environments/your_own.md).
+
+It needs what the service's processes have installed (`gaitway[up]`), and loads neither JAX nor MuJoCo, since
+the API imports such packages, too.
+"""
+
+# ruff: noqa: E402
+from typing import TYPE_CHECKING, Any
+
+from gaitway.service.installed import use_code
+
+use_code()
+
+from core.environments.info import Slice, named
+from core.environments.options import Range, Weight
+from core.environments.patterns import PATTERNS, Pattern, Patterns
+from core.environments.plugins import Body
+from core.environments.terms.inventory import Inventory, ModelParts
+from core.environments.terms.metrics import MetricTerm
+from core.environments.terms.observations import ObservationTerm
+from core.environments.terms.readings import ContactCount, ContactForce, Reading
+from core.environments.terms.term import (
+    Array,
+    CostTerm,
+    Direction,
+    Interval,
+    Name,
+    Names,
+    OfAxis,
+    OfBodies,
+    OfBody,
+    OfBodyContact,
+    OfContact,
+    OfHeight,
+    RewardTerm,
+    Term,
+    Vector,
+)
+from core.environments.terms.terminations import TerminationTerm
+
+if TYPE_CHECKING:
+    from core.environments.terms.step import ModelIndex, Step
+else:
+    ModelIndex = Step = Any  # They need MuJoCo.
+
+__all__ = [
+    "PATTERNS",
+    "Array",
+    "Body",
+    "ContactCount",
+    "ContactForce",
+    "CostTerm",
+    "Direction",
+    "Interval",
+    "Inventory",
+    "MetricTerm",
+    "ModelIndex",
+    "ModelParts",
+    "Name",
+    "Names",
+    "ObservationTerm",
+    "OfAxis",
+    "OfBodies",
+    "OfBody",
+    "OfBodyContact",
+    "OfContact",
+    "OfHeight",
+    "Pattern",
+    "Patterns",
+    "Range",
+    "Reading",
+    "RewardTerm",
+    "Slice",
+    "Step",
+    "Term",
+    "TerminationTerm",
+    "Vector",
+    "Weight",
+    "named",
+]

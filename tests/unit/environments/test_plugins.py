@@ -1,0 +1,183 @@
+"""Packages that add terms and bodies: the example of the documentation, and broken ones."""
+
+import json
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from importlib.metadata import distributions
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from core.environments import catalog
+from core.environments.describe_bodies import bodies_of_plugin
+from core.environments.describe_terms import page_of_plugin
+from core.environments.plugins import LISTS, TABLE, Plugin, hold_only, load
+from core.environments.robots.info import ROBOTS
+from core.environments.terms.inventory import OF_PLUGINS
+from core.environments.terms.task import TaskOptions
+from core.errors import EnvironmentNotFound, JobFailed, Rejected
+from core.jobs.job import Job
+from core.jobs.workers import how_to_install, packages_for, packages_here
+from core.physics.choose import engine_builder
+from tests.unit.jobs.making import make_job
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "mylab" / "mylab"
+Install = Callable[..., Plugin]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Installs a package whose module is this text, or the example; as pip does, and loads it into the
+    catalog."""
+    before = [kinds.added for kinds in LISTS.values()]
+
+    def installed(
+        text: str | None = None, name: str = "mylab", change: Callable[[Path], object] = id
+    ) -> Plugin:
+        site = tmp_path / name
+        if text is None:
+            shutil.copytree(EXAMPLE, site / "mylab")
+        else:
+            (site / "mylab").mkdir(parents=True)
+            (site / "mylab" / "environments.py").write_text(text)
+        change(site / "mylab")
+        facts = site / f"{name}-0.1.0.dist-info"
+        facts.mkdir()
+        (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1.0\n")
+        (facts / "entry_points.txt").write_text("[gaitway.environments]\nmylab = mylab.environments\n")
+        monkeypatch.syspath_prepend(site)
+        for module in [module for module in sys.modules if module.partition(".")[0] == "mylab"]:
+            monkeypatch.delitem(sys.modules, module)
+        points = [point for one in distributions(path=[str(site)]) for point in one.entry_points]
+        plugin, *_ = plugins = load(points)
+        monkeypatch.setattr(catalog, "PLUGINS", plugins)
+        for row in plugin.rows:
+            monkeypatch.setitem(catalog.ENVIRONMENTS, row.id, row)
+        return plugin
+
+    yield installed
+    hold_only(before)
+    for registry in (ROBOTS, OF_PLUGINS):
+        registry.pop("mylab/monopod", None)
+    for module in [module for module in sys.modules if module.partition(".")[0] == "mylab"]:
+        del sys.modules[module]
+
+
+def job(options: dict[str, Any], environment: str = "g1") -> Job:
+    chosen = {"id": environment, "options": options}
+    return make_job(environment=chosen)
+
+
+UNEVEN = {"kind": "mylab/uneven_power", "weight": 0.01}
+
+
+def test_the_term_of_a_package_goes_where_ours_go(install: Install) -> None:
+    plugin = install()
+    assert (plugin.problem, plugin.kinds, plugin.loads) == ("", ["mylab/uneven_power"], ())
+    _, options = catalog.resolve("g1", {"reward": [{"kind": "track_linear_velocity"}, UNEVEN]})
+    assert [term.weight for term in options.reward] == [1.0, 0.01]  # pyright: ignore
+    schema = json.dumps(catalog.find("mjcf").options.model_json_schema())
+    assert '"mylab/uneven_power"' in schema
+    assert "| `mylab/uneven_power` | cost: max " in page_of_plugin(plugin)
+    with pytest.raises(Rejected) as refused:
+        catalog.resolve("g1", {"reward": [{**UNEVEN, "weigth": 1}]})
+    assert [problem.pointer for problem in refused.value.problems] == ["/environment/options/reward/0/weigth"]
+
+
+def test_the_body_of_a_package_is_a_row_that_trains(install: Install) -> None:
+    install()
+    info, options = catalog.resolve("mylab/monopod", {})
+    assert (info.family, info.observation_size, info.action_size, info.dt) == ("mylab", 8, 2, 0.02)
+    environment = catalog.make(info, options, engine_builder("native"))
+    state = environment.reset(jax.random.key(0))
+    np.testing.assert_allclose(state.physics.qpos[2:], [0.4, -0.8], atol=0.02)
+    state = environment.step(state, np.array([1.0, 0.0]))
+    power = abs(state.physics.derived["qfrc_actuator"] * state.physics.qvel)
+    expected = power.max() - power.mean()
+    np.testing.assert_allclose(state.metrics["reward_uneven_power"], -0.001 * expected, rtol=1e-4)
+    with pytest.raises(Rejected, match="no body 'trunc'"):
+        catalog.resolve("mylab/monopod", {"root": "trunc"})
+
+
+def test_the_table_of_the_example_is_that_of_its_model(install: Install) -> None:
+    assert json.loads((EXAMPLE / TABLE).read_text()) == bodies_of_plugin(install())
+
+
+def test_a_changed_model_needs_another_table(install: Install) -> None:
+    def heavier(folder: Path) -> None:
+        model = folder / "monopod.xml"
+        model.write_text(model.read_text().replace('mass="3"', 'mass="4"'))
+
+    plugin = install(change=heavier)
+    assert "`gaitway plugins mylab --describe` writes" in plugin.problem
+    with pytest.raises(EnvironmentNotFound, match=r"mylab 0\.1\.0 could not be loaded here"):
+        catalog.find("mylab/monopod")
+    with pytest.raises(Rejected, match=r"inventories\.json lacks the body monopod"):
+        catalog.resolve("g1", {"reward": [UNEVEN]})
+
+
+def test_a_job_needs_a_worker_that_has_the_package(install: Install) -> None:
+    needs = packages_for(job({"reward": [UNEVEN]}))
+    assert needs["mylab"] == "the terms and bodies mylab/…"
+    assert "mylab" not in packages_here()
+    with pytest.raises(Rejected, match="no package that is installed here has the entry point 'mylab'"):
+        catalog.resolve("g1", {"reward": [UNEVEN]})
+    plugin = install()
+    assert "mylab" in packages_here()
+    assert how_to_install("mylab") == "the Python package mylab, here 0.1.0"
+    assert "mylab" in packages_for(job({}, "mylab/monopod"))
+    assert catalog.plugin_versions("g1", {"reward": [UNEVEN]}) == {"mylab": f"0.1.0 (code {plugin.code})"}
+    with pytest.raises(Rejected, match=r"it has mylab/uneven_power, .* Did you mean"):
+        catalog.resolve("g1", {"reward": [{"kind": "mylab/uneven_powers"}]})
+
+
+_TERM = """
+from typing import Literal
+from gaitway.environments import CostTerm, ObservationTerm, RewardTerm, Term
+class Mine({base}):
+    kind: Literal["{kind}"] = "{kind}"
+    {more}
+"""
+_MEASURE = "def measure(self, step, model): return 0.0"
+
+
+@pytest.mark.parametrize(
+    ("code", "problem"),
+    [
+        ("import nowhere", "ModuleNotFoundError: No module named 'nowhere' (environments.py, line 1)"),
+        ("raise SystemExit(3)", "SystemExit: 3 (environments.py, line 1)"),
+        (_TERM.format(base="RewardTerm", kind="alive", more=_MEASURE), 'call it "mylab/…"'),
+        (_TERM.format(base="RewardTerm", kind="mylab/x", more="pass"), "Mine has no method `measure`."),
+        (_TERM.format(base="ObservationTerm", kind="mylab/x", more=_MEASURE), "has no method `size`"),
+        (_TERM.format(base="Term", kind="mylab/x", more=_MEASURE), "none of the bases RewardTerm"),
+        (
+            _TERM.format(base="RewardTerm", kind="mylab/x", more=f"lock: type = int\n    {_MEASURE}"),
+            "PydanticInvalidForJsonSchema",
+        ),
+        (
+            "from gaitway.environments import Body\n"
+            "DOG = Body('dog', file='dog.xml', description='', options={})",
+            "The body dog has no file dog.xml beside the module.",
+        ),
+    ],
+)  # fmt: skip
+def test_a_broken_package_says_why_and_harms_nothing(install: Install, code: str, problem: str) -> None:
+    assert problem in install(code).problem
+    catalog.resolve("g1", {})
+    assert not any(kinds.added for kinds in LISTS.values())
+
+
+def test_a_term_that_cannot_be_computed_ends_the_job_with_its_name(install: Install) -> None:
+    install(
+        _TERM.format(base="RewardTerm", kind="mylab/x", more="def measure(self, step, model): return 1 / 0")
+    )
+    page = catalog.find("inverted_pendulum")
+    bad = TaskOptions.model_validate({"reward": [{"kind": "mylab/x"}]})
+    row = replace(page, arguments={**page.arguments, "task": lambda _: bad})
+    with pytest.raises(JobFailed, match=r"The term mylab/x cannot be computed\. ZeroDivisionError"):
+        catalog.make(row, page.options(), engine_builder("native"))
