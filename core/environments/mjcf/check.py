@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import cached_property
+from inspect import get_annotations
 from itertools import islice
 
 from core.bounds import LONGEST_NAME, MOST_OBSERVED, MOST_PROBLEMS
@@ -354,7 +355,7 @@ def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:
     for field, kind in _NAMING.items():
         if field == "joints" and isinstance(term, JointPositions | JointVelocities | OutsideJointRange):
             continue  # These are patterns.
-        if field == "bodies" and isinstance(term, OfBodyContact):
+        if (field == "bodies" and isinstance(term, OfBodyContact)) or _declares(term, field):
             continue
         named: str | list[str] | None = getattr(term, field, None)
         if isinstance(named, list):
@@ -370,6 +371,12 @@ def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:
         yield Problem(f"{pointer}/against", f"The geom {term.against!r} never touches itself.")
     if isinstance(term, Activation) and not parts.model.sizes.na:
         yield Problem(pointer, "None of the model's actuators has a state (na = 0).")
+
+
+def _declares(term: Strict, field: str) -> bool:
+    """Whether a package's term has declared the field itself, which then means what that term says."""
+    parts = (part for part in type(term).__mro__ if part.__module__.partition(".")[0] != "core")
+    return any(field in get_annotations(part) for part in parts)
 
 
 def _of_root(root: str, pointer: str, parts: _Parts) -> Iterator[Problem]:

@@ -172,6 +172,12 @@ def test_a_broken_package_says_why_and_harms_nothing(install: Install, code: str
     assert not any(kinds.added for kinds in LISTS.values())
 
 
+def test_a_field_of_its_own_may_be_called_like_ours(install: Install) -> None:
+    target = f"target: float = 0.3\n    {_MEASURE}"
+    install(_TERM.format(base="RewardTerm", kind="mylab/x", more=target))
+    catalog.resolve("g1", {"reward": [{"kind": "track_linear_velocity"}, {"kind": "mylab/x", "target": 0.5}]})
+
+
 def test_a_term_that_cannot_be_computed_ends_the_job_with_its_name(install: Install) -> None:
     install(
         _TERM.format(base="RewardTerm", kind="mylab/x", more="def measure(self, step, model): return 1 / 0")
