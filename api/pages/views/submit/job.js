@@ -45,6 +45,9 @@ function Kind({ document, change }) {
   </div></fieldset>`;
 }
 
+// Characters that an address may have of them; of longer ones, the model is what counts here.
+const LONGEST_OPTIONS = 5000;
+
 /** The chosen environment under the chosen options, with the defaults that fit it. */
 export function useEnvironment(chosen) {
   const id = at(chosen, ["id"]);
@@ -55,7 +58,8 @@ export function useEnvironment(chosen) {
     return () => clearTimeout(timer);
   }, [options]);
   const model = at(chosen, ["options", "model"]);
-  const found = useLive((signal) => get(`/environments/${id}`, settled === "{}" ? {} : { options: settled }, { signal }), [id, settled]);
+  const asked = settled.length > LONGEST_OPTIONS ? JSON.stringify({ model }) : settled;
+  const found = useLive((signal) => get(`/environments/${id}`, asked === "{}" ? {} : { options: asked }, { signal }), [id, asked]);
   // While options are wrong, or asked about, the last right ones tell of the model's parts.
   const last = useRef({});
   if (found.data) last.current = { id, model, data: found.data };
