@@ -286,10 +286,10 @@ def test_a_body_with_commands_goes_where_it_is_told(tab: Tab, attempt: Attempt, 
     page = tab.open(f"#/jobs/{attempt.id}/push")
     expect(page.get_by_text("Steer it with W A S D, Q and E")).to_be_visible(timeout=60_000)
     expect(page.get_by_role("link", name="Drive", exact=True)).to_be_visible()
+    expect(page.get_by_role("group", name="The trained body")).to_be_focused()
     page.get_by_role("button", name="Play").click()
     until(page, "time > 0.5 && Math.hypot(x, y) < 0.01")
-    page.get_by_role("group", name="The trained body").focus()
-    page.keyboard.down("w")
+    page.keyboard.down("w")  # "Play" is in focus still.
     expect(page.get_by_role("row", name="forward, m/s").get_by_role("cell").first).to_have_text("2.00")
     until(page, "x > 0.5 && Math.abs(y) < 0.05")
     tab.picture("drive")

@@ -64,6 +64,8 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
       stage.setEpisodes(shown.scene, about, [modules.episodeOf(motion)], false);
       parts.current.handle = new modules.Handle(stage, (pull) => parts.current.physics.say({ pull }));
       setPhase("ready");
+      // So that keys steer at once, unless somebody is elsewhere on the page already.
+      if (document.activeElement === document.body) picture.parentElement.focus({ preventScroll: true });
       setStory(isSteered ? "Steer it with W A S D, Q and E; take hold of the body and pull." : "Take hold of the body and pull.");
     };
     const steering = new modules.Steering(ranges);
@@ -137,6 +139,9 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
   const restart = () => (say({ reset: true }), setStory("It starts again."));
   const press = (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
+    // A control in focus keeps the keys that it knows; letters steer from everywhere else.
+    const { code, key, target } = event;
+    if (target.matches("select") || (!target.matches(".stage") && (key === " " || code.startsWith("Arrow")))) return;
     const steers = isSteered && !event.shiftKey && modules.KEYS[event.code] && (() => parts.current.steering.press(event.code));
     const pushes = PUSHES[event.key] && !event.repeat && (() => push(PUSHES[event.key]));
     const act = { " ": () => setRunning(!isRunning), r: restart }[event.key] || steers || pushes;
@@ -145,9 +150,9 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
     act();
   };
   const release = (event) => parts.current.steering?.release(event.code);
-  const letGo = () => parts.current.steering?.releaseAll();
-  return html`<div class="replay push">
-    <div class="stage" tabindex="0" role="group" aria-label="${name}; keys are listed below" onKeyDown=${press} onKeyUp=${release} onBlur=${letGo}>
+  const letGo = (event) => event.currentTarget.contains(event.relatedTarget) || parts.current.steering?.releaseAll();
+  return html`<div class="replay push" onKeyDown=${press} onKeyUp=${release} onFocusOut=${letGo}>
+    <div class="stage" tabindex="0" role="group" aria-label="${name}; keys are listed below">
       <canvas ref=${canvas} role="img" aria-label=${name}></canvas>
       ${failure && html`<p class="state failure" role="alert">${failure.message}</p>`}
     </div>
@@ -172,7 +177,7 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
     </div>
     <details><summary>Mouse, touch and keys</summary>
       <p class="facts">Drag the body to pull it, and beside it to turn the picture; drag with the right button or two fingers to move,
-      wheel or pinch to come closer. With the picture in focus: ${
+      wheel or pinch to come closer. Keys: ${
         isSteered
           ? "W and S or ↑ and ↓ walk forward and back, A and D or ← and → to the sides, Q and E turn; Shift with an arrow pushes it for 0.2 s"
           : "← → ↑ ↓ push it for 0.2 s"
