@@ -25,9 +25,12 @@ def with_servos(xml: str, robot: dict) -> mujoco.MjModel:
     for joint in robot["joints"]:
         own, effort = spec.joint(joint["name"]), joint["effort"] or 0
         own.armature, own.frictionloss, own.damping[0] = (joint[name] for name in LOADS)
-        if joint["stiffness"]:
+        if joint["target"]:
             servo = spec.add_actuator(target=own.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             servo.set_to_position(kp=joint["stiffness"], kv=joint["damping"])
+            servo.gainprm[0] = (
+                joint["stiffness"] or joint["damping"] or 1.0
+            )  # Of velocities and efforts, too.
             servo.forcerange = [-effort, effort]
     return spec.compile()
 

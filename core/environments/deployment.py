@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
-from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.actuation import Actuation
 from core.environments.terms.commands import AnyCommand, GaitClock
 from core.environments.terms.inventory import ModelParts
@@ -39,7 +38,9 @@ class Joint:
     """A hinge or slide. default: its position in the pose. stiffness, damping, effort: of its servo, in
     N m/rad, N m s/rad and N m; effort is None without a limit, and all are None where nothing drives it.
     armature, friction_loss, joint_damping: of the joint without it, in kg m², N m and N m s/rad. These units
-    are those of a hinge; of a slide they are N, m and kg."""
+    are those of a hinge; of a slide they are N, m and kg. target: what its servo gets, None where nothing
+    drives it.
+    """
 
     name: str
     default: float
@@ -49,14 +50,15 @@ class Joint:
     armature: float
     friction_loss: float
     joint_damping: float
+    target: Literal["position", "velocity", "effort"] | None
 
 
 @dataclass(frozen=True)
 class Deployment:
     """joints: in the model's order. acting: the joint of each servo, by number, [nu]. actuators: the servos
     that an action moves, by number, in its order; for the others it is 0. smoothing: the share of
-    the last action in the next. offset, scale: [nu], a joint's target is offset + scale · action, in rad or
-    m, and within the servo's `bounds` where it has some.
+    the last action in the next. offset, scale: [nu], a joint's target is offset + scale · action, in rad,
+    rad/s or N m, of slides m, m/s or N, and within the servo's `bounds` where it has some.
 
     qpos: where an episode begins, [nq]. physics_step_s, integrator: those of the training.
     """
@@ -109,19 +111,19 @@ def deployment(
     options: TaskOptions, index: ModelIndex, parts: ModelParts, actuation: Actuation | None
 ) -> Deployment:
     """The task under these options. actuation: what actions become. Raises NotDeployed."""
-    if actuation is None or not isinstance(options.action, JointPositionAction):
+    if actuation is None:
         raise NotDeployed("its actions are no targets of joints, as those of `joint_position` are")
     model, joints = index.model, index.joints(None).tolist()
     driven = model.actuator_trnid[:, 0].tolist()
     return Deployment(
         terms=[_seen(term, index, parts) for term in observed(options)],
-        joints=[_joint(model, joint, driven, index.pose) for joint in joints],
+        joints=[_joint(model, joint, driven, index.pose, actuation) for joint in joints],
         acting=[joints.index(joint) for joint in driven],
         actuators=actuation.actuators.tolist(),
         smoothing=options.action.smoothing,
         offset=actuation.offset.astype(float).tolist(),
-        scale=actuation.gain.astype(float).tolist(),
-        bounds=[_bounds(model, number) for number in range(model.nu)],
+        scale=(actuation.gain.astype(float) * actuation.per_control).tolist(),
+        bounds=[_bounds(model, number, actuation.per_control[number]) for number in range(model.nu)],
         command=options.command,
         gait=options.gait,
         qpos=index.pose.tolist(),
@@ -141,22 +143,26 @@ def _seen(term: ObservationTerm, index: ModelIndex, parts: ModelParts) -> SeenTe
     )
 
 
-def _bounds(model: mujoco.MjModel, servo: int) -> tuple[float, float] | None:
-    low, high = model.actuator_ctrlrange[servo].tolist()
+def _bounds(model: mujoco.MjModel, servo: int, per_control: float) -> tuple[float, float] | None:
+    low, high = sorted((model.actuator_ctrlrange[servo] * per_control).tolist())
     return (low, high) if model.actuator_ctrllimited[servo] else None
 
 
-def _joint(model: mujoco.MjModel, number: int, driven: Sequence[int], pose: np.ndarray) -> Joint:
+def _joint(
+    model: mujoco.MjModel, number: int, driven: Sequence[int], pose: np.ndarray, actuation: Actuation
+) -> Joint:
     servo = driven.index(number) if number in driven else None
     dof = int(model.jnt_dofadr[number])
+    kind = None if servo is None else actuation.kinds[servo]
     limited = servo is not None and bool(model.actuator_forcelimited[servo])
     return Joint(
         name=model.joint(number).name,
         default=float(pose[model.jnt_qposadr[number]]),
-        stiffness=None if servo is None else float(model.actuator_gainprm[servo, 0]),
+        stiffness=None if servo is None else float(model.actuator_gainprm[servo, 0] * (kind == "position")),
         damping=None if servo is None else -float(model.actuator_biasprm[servo, 2]),
         effort=float(model.actuator_forcerange[servo, 1]) if limited else None,
         armature=float(model.dof_armature[dof]),
         friction_loss=float(model.dof_frictionloss[dof]),
         joint_damping=float(np.ravel(model.dof_damping[dof])[0]),
+        target="effort" if kind == "motor" else kind,
     )

@@ -8,6 +8,7 @@ import numpy as np
 
 from core.environments.terms import history
 from core.environments.terms.binding import bound
+from core.environments.terms.locomotion import JointPositions
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.term import whole_steps
@@ -44,6 +45,22 @@ class ObservationGroup:
     @property
     def is_random(self) -> bool:
         return self.is_noisy or self._is_biased or self._is_delayed
+
+    @property
+    def encoder_places(self) -> dict[int, int]:
+        """By number of a joint: the place among the biases [width] of that with which its position is
+        read."""
+        found, start = dict[int, int](), 0
+        for term, part in zip(self._terms, self._bound, strict=True):
+            if isinstance(term, JointPositions) and term.bias:
+                for place, joint in enumerate(self._model.joints(term.joints).tolist(), start):
+                    found.setdefault(joint, place)
+            start += part.size
+        return found
+
+    def bias(self, info: Mapping[str, jax.Array]) -> jax.Array:
+        """The episode's biases, [width]; of a group that has some."""
+        return info[f"{self._name}_bias"]
 
     def drawn(self, uniform: Callable[[int], jax.Array]) -> dict[str, jax.Array]:
         """The biases [width] and the delays [terms] of an episode, in control steps, as entries of

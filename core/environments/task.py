@@ -20,7 +20,7 @@ from core.environments.random_start import RandomStart
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times, history
-from core.environments.terms.actions import ControlAction, JointAction
+from core.environments.terms.actions import AnyAction, ControlAction, JointAction
 from core.environments.terms.actuation import actuation
 from core.environments.terms.binding import bound
 from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
@@ -102,6 +102,7 @@ class TaskEnv(MujocoEnv):
         if options.critic is not None:
             self._critic = ObservationGroup(CRITIC_GROUP, options.critic, named, dt, is_exact=True)
         self._is_scaled = not isinstance(options.action, ControlAction) or options.action.scaled
+        self._encoders = self._biased_servos(options.action, model)
         self._curve = TorqueSpeedCurve.of(model) if options.action.torque_speed_curve else None
         self._action_delays = whole_steps(options.action.delay, dt)
         self._options, self._memory = options, options.memory
@@ -193,7 +194,7 @@ class TaskEnv(MujocoEnv):
         before = self._pushed(state.physics, info)
         arrived, entries = self._arrived(action, info)
         info |= entries
-        control = self._control(arrived)
+        control = self._followed(self._control(arrived), info)
         physics = self._moved(before, control)
         carried = ("previous_action", "command", "target", "start")
         previous, command, target, start = (info.get(name) for name in carried)
@@ -297,6 +298,23 @@ class TaskEnv(MujocoEnv):
         if self.action_size < self.model.nu:
             action = jnp.zeros(self.model.nu).at[self._actuation.actuators].set(action)
         return offset + gain * action
+
+    def _biased_servos(self, action: AnyAction, model: mujoco.MjModel) -> np.ndarray | None:
+        """Position servos whose encoders have a bias, and its place among the group's, [2, n]; None: none."""
+        if self._actuation is None or not (isinstance(action, JointAction) and action.follows_encoders):
+            return None
+        places = self._policy.encoder_places
+        joints = model.actuator_trnid[:, 0].tolist()
+        servos = [number for number, kind in enumerate(self._actuation.kinds) if kind == "position"]
+        biased = [(number, places[joints[number]]) for number in servos if joints[number] in places]
+        return np.array(biased, int).reshape(-1, 2).T
+
+    def _followed(self, control: jax.Array, info: Mapping[str, jax.Array]) -> jax.Array:
+        """The controls of servos that hold what their encoders read at the target."""
+        if self._encoders is None:
+            return control
+        servos, places = self._encoders
+        return control.at[servos].add(-self._policy.bias(info)[places])
 
     def _moved(self, before: PhysicsState, control: jax.Array) -> PhysicsState:
         """The physics after the control, with the motors' torques that are left at this speed."""

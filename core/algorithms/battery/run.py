@@ -28,7 +28,7 @@ from core.compilation import compiling
 from core.environments.environment import State, Wrapped
 from core.environments.patterns import matching_in_turn
 from core.environments.task import TaskEnv
-from core.environments.terms.actions import JointAction, JointPositionAction
+from core.environments.terms.actions import JointAction
 from core.environments.terms.actuation import actuation
 from core.environments.terms.commands import VelocityCommand
 from core.environments.terms.task import TaskOptions
@@ -149,8 +149,8 @@ def _acted_on(options: TaskOptions, model: mujoco.MjModel) -> tuple[np.ndarray, 
     """The actuators [actions] of a policy's actions, and how far an action of 1 moves each one's target."""
     if isinstance(options.action, JointAction):
         found = actuation(options.action, model, model.qpos0)
-        is_target = isinstance(options.action, JointPositionAction)
-        return found.actuators, found.gain[found.actuators] if is_target else np.full(model.nu, np.nan)
+        is_target = np.array([kind == "position" for kind in found.kinds])
+        return found.actuators, np.where(is_target, found.gain, np.nan)[found.actuators]
     return np.arange(model.nu), np.full(model.nu, np.nan)
 
 

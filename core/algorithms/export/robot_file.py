@@ -64,10 +64,12 @@ def robot_file(network: PolicyNetwork, robot: Deployment, about: Mapping[str, An
 
 
 def policy_metadata(robot: Deployment) -> dict[str, str]:
-    """The metadata for `policy.onnx`. Nothing where an action is smoothed, or is not one number for each
-    joint in their order: readers of these names would send it to other joints."""
+    """The metadata for `policy.onnx`. Nothing where an action is smoothed, is not a position, or is not one
+    number for each joint in their order: readers of these names would send it to other joints."""
     in_order = list(range(len(robot.joints)))
     if list(robot.acting) != in_order or list(robot.actuators) != in_order or robot.smoothing:
+        return {}
+    if any(joint.target != "position" for joint in robot.joints):
         return {}
     return {**_of_the_joints(robot, robot.scale), **_of_the_terms(robot)}
 

@@ -8,9 +8,9 @@ from itertools import islice
 from core.bounds import LONGEST_NAME, MOST_OBSERVED, MOST_PROBLEMS
 from core.documents import Strict
 from core.environments.info import Slice
+from core.environments.mjcf import action_check
 from core.environments.mjcf.unmatched import unmatched, unmatched_by
 from core.environments.randomization import FIELDS
-from core.environments.terms.actions import JointAction
 from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
 from core.environments.terms.inventory import Inventory, Kind, ModelParts
 from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture, VariablePosture
@@ -21,7 +21,6 @@ from core.environments.terms.task import (
     MOST_FEET,
     Reset,
     TaskOptions,
-    acting,
     control_step_s,
     observed,
     parts_of,
@@ -118,7 +117,7 @@ def _of_options(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
             yield from _of_movement(term, options.root or model.root, here, parts)
     yield from _of_needs(options, parts)
     yield from _of_patterns(options, parts)
-    yield from _of_action(options, model)
+    yield from action_check.problems(options, model, f"{_OPTIONS}/action")
     yield from _of_delays(options, model)
     yield from _of_reset(options.reset, model)
     if options.terrain is not None:
@@ -135,39 +134,6 @@ def _of_terrain(root: str, parts: _Parts) -> Iterator[Problem]:
             "A terrain's boxes stand on a level plane that is all of the world that can be touched, and the "
             "model has none: add one (`edits.floor`), or let nothing else of the world collide.",
         )
-
-
-def _of_action(options: TaskOptions, model: Inventory) -> Iterator[Problem]:
-    """Actuators that are of another kind than the action, or cannot keep the pose, as far as it is known."""
-    action, here = options.action, f"{_OPTIONS}/action"
-    chosen = acting(options, model)
-    if action.torque_speed_curve and not any(actuator.velocity_limit for actuator in model.actuators):
-        detail = "No servo has a velocity_limit and a greatest torque, so there is no torque-speed curve."
-        yield Problem(f"{here}/torque_speed_curve", detail)
-    if not isinstance(action, JointAction):
-        return
-    joints = [joint.name for joint in model.moving_joints()]
-    yield from unmatched(action.joints or (), joints, _JOINT, f"{here}/joints")
-    if not chosen:
-        yield Problem(f"{here}/joints", "No actuator moves any of these joints.")
-        return
-    others = [actuator for actuator in model.actuators if actuator not in [one for _, one in chosen]]
-    for name, actuator in chosen:
-        if actuator.kind not in (None, action.actuator):
-            yield Problem(
-                f"{here}/kind",
-                f"The actuator {name!r} is no {action.what}, as {action.kind} needs: give its joint one in "
-                "`edits.servos`, or take another action.",
-            )
-            return
-    for actuator in others:
-        if actuator.kind not in (None, "position"):
-            yield Problem(
-                f"{here}/joints",
-                f"The actuator {actuator.name!r} is not acted on, and is no position servo that could keep "
-                "the pose.",
-            )
-            return
 
 
 def _of_delays(options: TaskOptions, model: Inventory) -> Iterator[Problem]:
@@ -303,8 +269,6 @@ def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
             yield from unmatched(term.joints or (), joints, _JOINT, f"{here}/joints")
         if isinstance(term, Qpos):
             yield from unmatched(term.without or (), joints, _JOINT, f"{here}/without")
-    if isinstance(options.action, JointAction) and isinstance(options.action.scale, dict):
-        tables.append((f"{_OPTIONS}/action/scale", options.action.scale))
     for pointer, patterns in tables:
         for pattern in patterns:
             yield from unmatched_by(pattern, joints, _JOINT, pointer)

@@ -1,12 +1,13 @@
 """How a policy's action becomes the actuators' controls."""
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from core.bounds import Real
 from core.documents import Strict
-from core.environments.patterns import PATTERNS, Patterns, PerName
+from core.environments.patterns import PATTERNS, Patterns, PerName, matching
 from core.environments.terms.inventory import ActuatorKind
 from core.environments.terms.term import DELAY, Delay
 
@@ -41,9 +42,24 @@ class ControlAction(Action):
 
 
 class JointAction(Action):
-    """An action for each joint that has an actuator of this kind; other joints keep the pose.
+    """An action for each joint that one of its parts drives; the other joints keep the pose. Its numbers are
+    in the actuators' order."""
 
-    actuator: the kind. what: such actuators, in words.
+    @property
+    def parts(self) -> Sequence["JointPart"]:
+        """Those that drive joints, each of which has an actuator of the part's kind."""
+        raise NotImplementedError
+
+    @property
+    def follows_encoders(self) -> bool:
+        """Whether position servos follow what the encoders read."""
+        return any(isinstance(part, PositionPart) and part.encoder_bias for part in self.parts)
+
+
+class JointPart(Strict):
+    """How actions become the controls of some joints.
+
+    actuator: the kind that they have. what: such actuators, in words.
     """
 
     actuator: ClassVar[ActuatorKind]
@@ -55,8 +71,16 @@ class JointAction(Action):
         f"the pose. {PATTERNS}",
     )
 
+    @property
+    def parts(self) -> Sequence["JointPart"]:
+        return [self]
 
-class JointPositionAction(JointAction):
+    def drives(self, joint: str) -> bool:
+        """Whether it drives the joint, if that has an actuator."""
+        return self.joints is None or bool(matching(self.joints, [joint]))
+
+
+class PositionPart(JointPart):
     """A target for each joint's servo: its position at an episode's start, plus the action times a scale."""
 
     actuator = "position"
@@ -68,9 +92,14 @@ class JointPositionAction(JointAction):
         description="rad or m for an action of 1; null: where half of the servo's greatest force pushes, or "
         f"0.25 where it has no limit. {_SCALE}",
     )
+    encoder_bias: bool = Field(
+        default=False,
+        description="Position servos follow what the encoders read: the episode's bias of `joint_positions` "
+        "in the observation is taken from their targets.",
+    )
 
 
-class JointVelocityAction(JointAction):
+class VelocityPart(JointPart):
     """A velocity for each joint's servo: the action times a scale, as for wheels."""
 
     actuator = "velocity"
@@ -84,7 +113,7 @@ class JointVelocityAction(JointAction):
     )
 
 
-class JointEffortAction(JointAction):
+class EffortPart(JointPart):
     """A torque or force on each joint: the action times a scale."""
 
     actuator = "motor"
@@ -98,5 +127,35 @@ class JointEffortAction(JointAction):
     )
 
 
-AnyJointAction = JointPositionAction | JointVelocityAction | JointEffortAction
-AnyAction = Annotated[ControlAction | AnyJointAction, Field(discriminator="kind")]
+class JointPositionAction(PositionPart, JointAction):
+    """A target for each joint's servo: its position at an episode's start, plus the action times a scale."""
+
+
+class JointVelocityAction(VelocityPart, JointAction):
+    """A velocity for each joint's servo: the action times a scale, as for wheels."""
+
+
+class JointEffortAction(EffortPart, JointAction):
+    """A torque or force on each joint: the action times a scale."""
+
+
+AnyJointPart = Annotated[PositionPart | VelocityPart | EffortPart, Field(discriminator="kind")]
+
+
+class MixedAction(JointAction):
+    """Joints that are driven in several ways, as legs by positions and wheels by velocities."""
+
+    kind: Literal["mixed"] = "mixed"
+    terms: Annotated[list[AnyJointPart], Field(min_length=1, max_length=16)] = Field(
+        description="How some joints are driven; each joint by one term at most."
+    )
+
+    @property
+    def parts(self) -> Sequence[JointPart]:
+        return self.terms
+
+
+AnyAction = Annotated[
+    ControlAction | JointPositionAction | JointVelocityAction | JointEffortAction | MixedAction,
+    Field(discriminator="kind"),
+]

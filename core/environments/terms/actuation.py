@@ -1,12 +1,13 @@
 """The actuators of a compiled model: of which kind each is, and the controls that an action gives them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from core.environments.patterns import by_name, matching
-from core.environments.terms.actions import AnyJointAction, JointPositionAction, JointVelocityAction
+from core.environments.patterns import by_name
+from core.environments.terms.actions import EffortPart, JointAction, JointPart, PositionPart, VelocityPart
 from core.environments.terms.inventory import ActuatorKind
 from core.errors import JobFailed
 from core.reasons import Reason
@@ -21,65 +22,69 @@ _MOTOR = "gaitway:motor:"
 class Actuation:
     """The controls of a joint action: offset + gain · action of its actuators, and the offset of the others.
 
-    actuators: numbers of those that are acted on, [actions]. offset, gain: [nu].
+    actuators: numbers of those that are acted on, [actions]. offset, gain: [nu]. kinds: [nu]. per_control:
+    what a control of 1 asks of the joint, [nu], in rad, rad/s or N m.
     """
 
     actuators: np.ndarray
     offset: np.ndarray
     gain: np.ndarray
+    kinds: Sequence[ActuatorKind]
+    per_control: np.ndarray
 
 
-def actuation(action: AnyJointAction, model: mujoco.MjModel, pose: np.ndarray) -> Actuation:
+def actuation(action: JointAction, model: mujoco.MjModel, pose: np.ndarray) -> Actuation:
     """How the action becomes controls. pose: positions [nq] that joints keep.
 
     Raises JobFailed("bad_model") where an actuator is not of the action's kind, and where one that is not
     acted on cannot keep the pose.
     """
-    kinds = [kind_of(model, number) for number in range(model.nu)]
-    joints = joint_names(model)
-    chosen = np.array([number for number, joint in enumerate(joints) if _is_chosen(action, joint)], int)
-    for number in range(model.nu):
-        is_chosen = number in chosen
-        if kinds[number] != (action.actuator if is_chosen else "position"):
-            raise JobFailed(
-                Reason.BAD_MODEL, _misfit(action, model.actuator(number).name, is_chosen=is_chosen)
-            )
-    if isinstance(action, JointPositionAction):
-        offset, gain = servo_targets(action, model, pose)
-    else:
-        gain = _scaled(action.scale, _own_scale(action, model), joints) / _per_control(action, model)
-        offset, _ = servo_targets(JointPositionAction(), model, pose)
-        offset[chosen] = 0.0
-    return Actuation(chosen, offset, gain.astype(np.float32))
+    parts, joints = action.parts, joint_names(model)
+    driving = [next((place for place, part in enumerate(parts) if part.drives(one)), -1) for one in joints]
+    kinds: list[ActuatorKind] = ["position" if place < 0 else parts[place].actuator for place in driving]
+    for number, (place, kind) in enumerate(zip(driving, kinds, strict=True)):
+        if kind_of(model, number) != kind:
+            part = parts[place] if place >= 0 else None
+            raise JobFailed(Reason.BAD_MODEL, _misfit(part, model.actuator(number).name))
+    # Of joints that no part drives, the gain is of no account.
+    gains = [_gain(part, model, joints) for part in parts]
+    gain = np.stack(gains)[driving, np.arange(model.nu)]
+    is_target = np.array([kind == "position" for kind in kinds], bool)
+    rest = pose[model.jnt_qposadr[model.actuator_trnid[:, 0]]].astype(np.float32)
+    return Actuation(
+        np.flatnonzero(np.array(driving, int) >= 0),
+        np.where(is_target, rest, np.float32(0.0)),
+        gain.astype(np.float32),
+        kinds,
+        np.array([_per_control(kind, model)[number] for number, kind in enumerate(kinds)]),
+    )
 
 
-def _is_chosen(action: AnyJointAction, joint: str) -> bool:
-    return action.joints is None or bool(matching(action.joints, [joint]))
-
-
-def _misfit(action: AnyJointAction, name: str, *, is_chosen: bool) -> str:
-    if not is_chosen:
+def _misfit(part: JointPart | None, name: str) -> str:
+    if part is None:
         return (
             f"The actuator {name!r} is not acted on, and is no position servo that could keep the pose: give "
             "its joint one in `edits.servos`, or act on it."
         )
     return (
-        f"The actuator {name!r} is no {action.what} of a joint, as the action {action.kind} needs: give its "
-        "joint one in `edits.servos`, or take the action `control`."
+        f"The actuator {name!r} is no {part.what} of a joint, as the action {getattr(part, 'kind', '')} "
+        "needs: give its joint one in `edits.servos`, or take the action `control`."
     )
 
 
-def servo_targets(
-    action: JointPositionAction, model: mujoco.MjModel, pose: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The targets [nu] of position servos for an action of 0, and what an action of 1 adds to them. pose:
-    positions [nq]."""
-    joints = model.actuator_trnid[:, 0]
-    stiffness, forces = model.actuator_gainprm[:, 0], model.actuator_forcerange[:, 1]
-    limited = model.actuator_forcelimited.astype(bool)
-    own = np.where(limited, 0.5 * forces / np.maximum(stiffness, 1e-9), 0.25)
-    scale = _scaled(action.scale, own, joint_names(model))
-    return pose[model.jnt_qposadr[joints]].astype(np.float32), scale.astype(np.float32)
+def _gain(part: JointPart, model: mujoco.MjModel, joints: list[str]) -> np.ndarray:
+    """What an action of 1 adds to controls, [nu], if the part drove all joints."""
+    match part:
+        case PositionPart():
+            stiffness, forces = model.actuator_gainprm[:, 0], model.actuator_forcerange[:, 1]
+            limited = model.actuator_forcelimited.astype(bool)
+            own = np.where(limited, 0.5 * forces / np.maximum(stiffness, 1e-9), 0.25)
+            return _scaled(part.scale, own, joints)
+        case VelocityPart() | EffortPart():
+            own = _own_scale(part, model)
+            return _scaled(part.scale, own, joints) / _per_control(part.actuator, model)
+        case _:
+            raise TypeError(part)
 
 
 def _scaled(wanted: float | dict[str, float] | None, own: np.ndarray, joints: list[str]) -> np.ndarray:
@@ -90,9 +95,9 @@ def _scaled(wanted: float | dict[str, float] | None, own: np.ndarray, joints: li
     return own if wanted is None else np.full(len(own), wanted)
 
 
-def _own_scale(action: AnyJointAction, model: mujoco.MjModel) -> np.ndarray:
+def _own_scale(part: VelocityPart | EffortPart, model: mujoco.MjModel) -> np.ndarray:
     """The greatest velocity or torque at the joints, [nu]; 1 where it is not known."""
-    if isinstance(action, JointVelocityAction):
+    if isinstance(part, VelocityPart):
         limits = [motor_of(model, joint) for joint in joint_names(model)]
         return np.array([1.0 if limit is None else limit[0] for limit in limits])
     limited, force = model.actuator_forcelimited.astype(bool), model.actuator_forcerange[:, 1]
@@ -106,10 +111,16 @@ def _own_scale(action: AnyJointAction, model: mujoco.MjModel) -> np.ndarray:
     return np.where(np.isfinite(most), most, 1.0)
 
 
-def _per_control(action: AnyJointAction, model: mujoco.MjModel) -> np.ndarray:
-    """The joints' velocities, or torques, for a control of 1, [nu]."""
+def _per_control(kind: ActuatorKind, model: mujoco.MjModel) -> np.ndarray:
+    """The joints' positions, velocities or torques for a control of 1, [nu]."""
     gear = model.actuator_gear[:, 0]
-    return 1.0 / gear if isinstance(action, JointVelocityAction) else gear * model.actuator_gainprm[:, 0]
+    match kind:
+        case "position":
+            return np.ones(model.nu)
+        case "velocity":
+            return 1.0 / gear
+        case "motor":
+            return gear * model.actuator_gainprm[:, 0]
 
 
 def kind_of(model: mujoco.MjModel, actuator: int) -> ActuatorKind | None:

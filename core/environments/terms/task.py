@@ -9,8 +9,8 @@ from core.bounds import MOST_ITEMS, Real
 from core.documents import Strict
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces, in_order, named
 from core.environments.options import NoiseScale
-from core.environments.patterns import PATTERNS, Pattern, matching, matching_in_turn
-from core.environments.terms.actions import AnyAction, ControlAction
+from core.environments.patterns import PATTERNS, Pattern, matching_in_turn
+from core.environments.terms.actions import AnyAction, ControlAction, JointAction
 from core.environments.terms.commands import AnyCommand, GaitClock, PositionCommand, Push, VelocityCommand
 from core.environments.terms.inventory import Actuator, Inventory, ModelParts
 from core.environments.terms.metrics import (
@@ -208,10 +208,9 @@ def acting(options: TaskOptions, model: Inventory) -> list[tuple[str, Actuator]]
     """The actuators that an action moves, by the names of its numbers."""
     named = list(zip(model.acting, model.actuators, strict=True))
     action = options.action
-    if isinstance(action, ControlAction) or action.joints is None:
+    if not isinstance(action, JointAction):
         return named
-    patterns = action.joints
-    return [one for one in named if matching(patterns, [one[1].joint or ""])]
+    return [one for one in named if any(part.drives(one[1].joint or "") for part in action.parts)]
 
 
 def varied(options: TaskOptions) -> Mapping[str, Any]:

@@ -116,9 +116,9 @@ HAND = Deployment(
         SeenTerm("gait_phase", 2, 1.0, None, 1, Sensed(CLOCK, ("share",), "1")),
     ],
     joints=[
-        Joint("a", 0.1, 20.0, 1.0, 7.0, **DRIVEN),
-        Joint("b", 0.2, 30.0, 2.0, None, **DRIVEN),
-        Joint("c", 0.3, None, None, None, **DRIVEN),
+        Joint("a", 0.1, 20.0, 1.0, 7.0, target="position", **DRIVEN),
+        Joint("b", 0.2, 30.0, 2.0, None, target="position", **DRIVEN),
+        Joint("c", 0.3, None, None, None, target=None, **DRIVEN),
     ],
     acting=[1, 0],
     actuators=[0, 1],

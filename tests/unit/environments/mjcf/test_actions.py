@@ -96,6 +96,46 @@ def test_joints_that_no_pattern_matches_keep_the_pose(tmp_path: Path) -> None:
     assert previous.size == 4
 
 
+def test_joints_are_driven_in_several_ways(tmp_path: Path) -> None:
+    terms = [
+        {"kind": "joint_position", "joints": ["wrist"], "scale": 0.3},
+        {"kind": "joint_effort", "joints": ["elbow"]},
+    ]
+    environment = build(
+        tmp_path,
+        TWO_ARMS,
+        action={"kind": "mixed", "terms": terms, "smoothing": 0.5},
+        observation=[{"kind": "previous_action"}],
+        reset={"keyframe": "raised", "position_noise": 0.0, "velocity_noise": 0.0},
+    )
+    assert isinstance(environment, TaskEnv)
+    # In the actuators' order. The motor's 3 N m are 1.5 by a gear of 2; the wrist is at 0.2 rad.
+    assert environment._control(jnp.array([0.5, -1.0])).tolist() == pytest.approx([0.75, -0.1])
+    robot = environment.deployment()
+    assert [(one.name, one.target, one.stiffness) for one in robot.joints] == [
+        ("elbow", "effort", 0.0),
+        ("wrist", "position", 4.0),
+    ]
+    assert robot.offset == pytest.approx([0.0, 0.2])
+    assert robot.scale == pytest.approx([3.0, 0.3])
+    assert robot.bounds[0] == pytest.approx((-1.0, 3.0))
+    assert set(environment.simulation().control.outputs) == {"control"}
+
+
+def test_servos_follow_what_their_encoders_read(tmp_path: Path) -> None:
+    seen = [{"kind": "joint_velocities"}, {"kind": "joint_positions", "bias": 0.1}]
+    common = {"edits": servo(kp=8.0), "observation": seen, "termination": []}
+    action = {"kind": "joint_position", "scale": 1.0}
+    follows = build(tmp_path, action=action | {"encoder_bias": True}, **common)
+    plain = build(tmp_path, action=action, **common)
+    bias = float(follows.reset(KEY).info["state_bias"][1])
+    assert 0.0 < abs(bias) <= 0.1
+    # The joint is where it is read at the target, less the bias.
+    biased, shifted = walked(follows, KEY, [0.2] * 5), walked(plain, KEY, [0.2 - bias] * 5)
+    np.testing.assert_allclose(biased.physics.qpos, shifted.physics.qpos, atol=1e-6)
+    assert abs(float(walked(plain, KEY, [0.2] * 5).physics.qpos[7] - biased.physics.qpos[7])) > 1e-3
+
+
 def test_a_motor_has_less_torque_the_faster_it_turns(tmp_path: Path) -> None:
     action = {"kind": "joint_position", "scale": 100.0, "torque_speed_curve": True}
     for limits, by_speed in (
@@ -130,6 +170,23 @@ def test_a_randomized_force_range_is_narrowed_by_the_curve(tmp_path: Path) -> No
         ({"kind": "joint_effort"}, "action/kind", "'FR_hip_joint' is no motor"),
         ({"kind": "joint_velocity"}, "action/kind", "is no velocity servo"),
         ({"kind": "joint_position", "joints": [".*_toe"]}, "action/joints/0", "'.*_toe'"),
+        (
+            {
+                "kind": "mixed",
+                "terms": [
+                    {"kind": "joint_position", "joints": [".*_calf_joint"]},
+                    {"kind": "joint_position", "joints": ["F.*"]},
+                ],
+            },
+            "action/terms/1/joints",
+            "'FR_calf_joint' is driven by term 0",
+        ),
+        (
+            {"kind": "mixed", "terms": [{"kind": "joint_velocity", "joints": [".*"]}]},
+            "action/terms/0/kind",
+            "no velocity servo",
+        ),
+        ({"kind": "joint_position", "encoder_bias": True}, "action/encoder_bias", "has a `bias`"),
         ({"kind": "joint_position", "delay": [0, 0.01]}, "action/delay", "0.02 s lies between"),
     ],
 )

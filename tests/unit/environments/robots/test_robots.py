@@ -18,7 +18,7 @@ from core.environments.robots.g1 import G1
 from core.environments.robots.go1 import GO1
 from core.environments.robots.robot import Robot
 from core.environments.terms.actions import JointPositionAction
-from core.environments.terms.actuation import servo_targets
+from core.environments.terms.actuation import actuation
 from core.environments.terms.feet import feet_of
 from core.errors import JobFailed
 from core.jobs.workers import how_to_install
@@ -69,7 +69,7 @@ def test_the_go1_has_its_motors(go1: mujoco.MjModel) -> None:
     assert armature(go1, "FL_calf_joint") == pytest.approx(81 * 1.11842e-4)
     assert go1.actuator("RR_calf_joint").forcerange.tolist() == [-35.55, 35.55]
     # Half of the effort against the spring: 0.5 · 35.55 / (81 · 1.11842e-4 · (20 π)²).
-    _, scale = servo_targets(JointPositionAction(), go1, go1.qpos0)
+    scale = actuation(JointPositionAction(), go1, go1.qpos0).gain
     assert scale[go1.actuator("FL_calf_joint").id] == pytest.approx(0.4970, abs=1e-4)
 
 
