@@ -1,7 +1,7 @@
 """The interface of an environment, as algorithms use it; its finite views; and the base of wrappers."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import jax
@@ -162,3 +162,17 @@ class Wrapped:
     @property
     def discretization(self) -> Discretization:
         return self.environment.discretization
+
+
+def innermost(environment: Environment) -> Environment:
+    """The environment inside all wrappers."""
+    while isinstance(environment, Wrapped):
+        environment = environment.environment
+    return environment
+
+
+def with_innermost(environment: Environment, change: Callable[[Environment], Environment]) -> Environment:
+    """The same wrappers around the changed environment inside them."""
+    if isinstance(environment, Wrapped):
+        return replace(environment, environment=with_innermost(environment.environment, change))
+    return change(environment)

@@ -17,6 +17,14 @@ def _ascending(bounds: tuple[float, float | None]) -> tuple[float, float | None]
     return bounds
 
 
+def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
+    low, high = bounds
+    if low > high:
+        raise ValueError(f"[{low:g}, {high:g}] is not [low, high] with low ≤ high")
+    return bounds
+
+
+NotDescending = AfterValidator(_not_descending)
 _FROM_A_LIST = Field(strict=False)  # JSON has no tuples
 
 Range = Annotated[tuple[Real, Real], _FROM_A_LIST, AfterValidator(_ascending)]

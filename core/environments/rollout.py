@@ -1,7 +1,7 @@
 """Running a policy in an environment, and recording its episodes."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from typing import Any, Protocol, runtime_checkable
 
@@ -56,21 +56,6 @@ def zero_policy(action_size: int) -> Policy:
     return constant_policy([0.0] * action_size)
 
 
-@dataclass(frozen=True)
-class _Row:
-    """The record of several steps; arrays [steps, envs, ...]."""
-
-    qpos: NDArray[np.float32]
-    qvel: NDArray[np.float32]
-    observation: NDArray[np.float32]
-    action: NDArray[np.float32]
-    reward: NDArray[np.float32]
-    done: NDArray[np.float32]
-    metrics: Mapping[str, NDArray[np.float32]]
-    target: NDArray[np.float32] | None = None
-    command: NDArray[np.float32] | None = None
-
-
 class Roller:
     """Compiles a policy's episodes in an environment once, for parameters of the first ones' shapes and any
     seed, length and number.
@@ -109,18 +94,16 @@ class Roller:
         arenas = {
             name: np.asarray(own) for name in ARENA if (own := state.physics.model.get(name)) is not None
         }
-        rows: list[_Row] = []
+        rows: list[dict[str, Any]] = []  # Of several steps each; arrays [steps, envs, ...].
         running = np.ones(wanted, bool)
         taken = 0
         while taken < num_steps and running.any():
             state, observed = advance(parameters, state, keys, jnp.int32(taken))
-            row = _Row(**{name: jax.tree.map(np.asarray, values) for name, values in observed.items()})
-            rows.append(row)
-            running &= ~(row.done[:, :wanted] > 0).any(axis=0)
+            rows.append(jax.tree.map(np.asarray, observed))
+            running &= ~(rows[-1]["done"][:, :wanted] > 0).any(axis=0)
             taken += _STEPS_PER_CALL
-        names = (*start, "action", "reward", "done")
-        steps = {name: np.concatenate([getattr(row, name) for row in rows]) for name in names}
-        metrics = {name: np.concatenate([row.metrics[name] for row in rows]) for name in rows[0].metrics}
+        steps = jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
+        metrics = steps.pop("metrics")
         for env in range(wanted):
             own = {name: values[:, env] for name, values in steps.items()}
             begin = {name: np.asarray(values)[env] for name, values in start.items()}

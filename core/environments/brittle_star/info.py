@@ -13,7 +13,6 @@ from core.environments.brittle_star.options import (
     Options,
     UndirectedOptions,
     observed,
-    size_of,
 )
 from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews, Slice, Spaces, in_order, named
 from core.physics.availability import EngineName, Rule, beyond_compiled
@@ -129,11 +128,10 @@ _ON_A_GPU = (
 
 def _under(options: Options) -> Mapping[str, Any]:
     """The fields of the row that these options change."""
-    total = sum(options.segments)
+    numbers = star_slices(options)
     return {
-        "observation_size": sum(size_of(name, total) for name in observed(options)),
-        # A pattern generator's size: `core.environments.cpg.roles.action_size`, but that loads JAX.
-        "action_size": 2 * total if options.control == "joints" else 7 * options.num_arms + 1,
+        "observation_size": numbers.observation_size,
+        "action_size": numbers.action_size,
         "finite": _finite(options),
         "dt": options.dt,
         "episode_length": options.episode_length,

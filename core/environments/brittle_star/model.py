@@ -1,13 +1,11 @@
 """The brittle star: composed by biorobot, and as it is stepped, without sensors that nothing reads."""
 
-from importlib import import_module
 from typing import Any
 
 import mujoco
 import numpy as np
-from biorobot.brittle_star.mjcf.morphology.morphology import MJCFBrittleStarMorphology
-from biorobot.brittle_star.mjcf.morphology.parts.arm import MJCFBrittleStarArm
 
+from core.environments import optional_packages
 from core.environments.brittle_star.options import (
     DISK,
     DISK_RADIUS_M,
@@ -18,28 +16,7 @@ from core.environments.brittle_star.options import (
     observed,
 )
 from core.environments.dm_control.dm_control_import import without_a_display
-from core.errors import JobFailed
 from core.installation import to_install
-from core.reasons import Reason
-
-
-class EvenStar(MJCFBrittleStarMorphology):
-    """A star with a place for each arm; biorobot's has five. With five arms the two are equal."""
-
-    def _build_arms(self) -> None:
-        specification = self.morphology_specification
-        radius = specification.disk_specification.radius.value
-        angles = np.linspace(0, 2 * np.pi, specification.number_of_arms, endpoint=False)
-        self.arms = [
-            MJCFBrittleStarArm(
-                parent=self._disk,
-                name=f"arm_{index}",
-                pos=radius * np.array([np.cos(angle), np.sin(angle), 0]),
-                euler=[0, 0, angle],
-                arm_index=index,
-            )
-            for index, angle in enumerate(angles)
-        ]
 
 
 def composed(options: Options) -> mujoco.MjSpec:
@@ -61,7 +38,7 @@ def _star(options: Options) -> Any:
         use_p_control=options.actuation == "p_control",
         use_torque_control=options.actuation == "torque_control",
     )
-    return _module("core.environments.brittle_star.model").EvenStar(specification)
+    return _module("core.environments.brittle_star.even_star").EvenStar(specification)
 
 
 def _arena(options: Options) -> Any:
@@ -77,14 +54,8 @@ def _arena(options: Options) -> Any:
 
 
 def _module(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ModuleNotFoundError as error:
-        raise JobFailed(
-            Reason.BAD_MODEL,
-            f"Brittle stars and their aquarium come with biorobot, which this worker lacks ({error}). "
-            f"Install it there with `{to_install('brittle-star')}`, or ask for another environment.",
-        ) from error
+    brings, install = "Brittle stars and their aquarium come with biorobot", to_install("brittle-star")
+    return optional_packages.module(name, brings=brings, install=install)
 
 
 # The extent that a picture shows, in metres: the star's surroundings, not the whole arena.

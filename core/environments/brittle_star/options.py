@@ -40,21 +40,6 @@ LIGHT_OBSERVABLES: tuple[LightObservable, ...] = get_args(LightObservable)
 COSTLY_OBSERVABLES: tuple[BodyObservable, ...] = ("joint_actuator_force", "actuator_force", "segment_contact")
 
 
-def size_of(observable: Observable, num_segments: int) -> int:
-    """How many numbers the observable has; num_segments: of all arms together."""
-    match observable:
-        case "joint_position" | "joint_velocity" | "joint_actuator_force" | "actuator_force":
-            return 2 * num_segments
-        case "segment_contact" | "segment_light_intake":
-            return num_segments
-        case "unit_xy_direction_to_target":
-            return 2
-        case "xy_distance_to_target" | "disk_light_intake":
-            return 1
-        case "disk_position" | "disk_rotation" | "disk_linear_velocity" | "disk_angular_velocity":
-            return 3
-
-
 # biorobot puts its morphology's name before the names of all its parts.
 DISK = "BrittleStarMorphology/central_disk"
 TARGET_RADIUS_M = 0.2

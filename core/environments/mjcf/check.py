@@ -5,11 +5,11 @@ from functools import cached_property
 from inspect import get_annotations
 from itertools import islice
 
-from core.bounds import LONGEST_NAME, MOST_OBSERVED, MOST_PROBLEMS
+from core.bounds import MOST_OBSERVED, MOST_PROBLEMS
 from core.documents import Strict
 from core.environments.info import Slice
 from core.environments.mjcf import action_check
-from core.environments.mjcf.unmatched import unmatched, unmatched_by
+from core.environments.mjcf.unmatched import instead_of, no_keyframe, unmatched, unmatched_by
 from core.environments.randomization import FIELDS
 from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
 from core.environments.terms.inventory import Inventory, Kind, ModelParts
@@ -28,10 +28,8 @@ from core.environments.terms.task import (
 from core.environments.terms.term import Need, OfBodyContact, Term, whole_steps
 from core.environments.terms.terminations import OutsideJointRange, Touching
 from core.errors import Problem
-from core.nearest import nearest
 
 _OPTIONS = "/environment/options"
-_MAX_NAMES = 20
 _JOINT = "hinge or slide"
 _TOUCHING = "body with a geom that can touch anything"
 # A model may have thousands of parts, so only the first wrong names are compared with them.
@@ -170,8 +168,7 @@ def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     }
     for pointer, term in _terms(options):
         for need in sorted(term.needed - {need for need, is_there in has.items() if is_there}):
-            kind = getattr(term, "kind", "")
-            yield Problem(pointer, f"The term {kind} needs {_NEEDED[need].format(**words)}.")
+            yield Problem(pointer, f"The term {term.label} needs {_NEEDED[need].format(**words)}.")
     if options.events and not has["free_root"]:
         yield Problem(f"{_OPTIONS}/events", f"A push needs {_NEEDED['free_root'].format(**words)}.")
     if options.command is not None and not has["free_root"]:
@@ -380,14 +377,7 @@ def _of_name(name: str | None, pointer: str, kind: Kind, parts: _Parts) -> Itera
 
 def _unknown(name: str, pointer: str, what: str, known: Collection[str], parts: _Parts) -> Iterator[Problem]:
     parts.num_hints += 1
-    near = nearest(name, known, number=3, cutoff=0.5) if parts.num_hints <= _MAX_HINTS else ()
-    if near:
-        hint = f"did you mean {' or '.join(map(repr, near))}?"
-    elif known:
-        some = ", ".join(f"{one:.{LONGEST_NAME}}" for one in islice(known, _MAX_NAMES))
-        hint = f"it has {some}{', …' if len(known) > _MAX_NAMES else ''}."
-    else:
-        hint = "it has none with a name."
+    hint = instead_of(name, known, is_compared=parts.num_hints <= _MAX_HINTS)
     yield Problem(pointer, f"The model has no {what} {name!r}; {hint}")
 
 
@@ -407,6 +397,4 @@ def _of_reset(reset: Reset, model: Inventory) -> Iterator[Problem]:
     known = model.keyframes
     there = reset.keyframe in known if isinstance(reset.keyframe, str) else (reset.keyframe or 0) < len(known)
     if reset.keyframe is not None and not there:
-        named = ", ".join(one[:LONGEST_NAME] for one in islice(filter(None, known), _MAX_NAMES))
-        has = f"it has {len(known)}{f', among them {named}' if named else ''}" if known else "it has none"
-        yield Problem(f"{_OPTIONS}/reset/keyframe", f"The model has no keyframe {reset.keyframe!r}; {has}.")
+        yield no_keyframe(reset.keyframe, model, f"{_OPTIONS}/reset/keyframe")

@@ -1,16 +1,13 @@
 """Whether the changes of a model fit it, and what they make of its parts; no numerical code."""
 
 from collections.abc import Iterator, Sequence
-from itertools import islice
 
-from core.bounds import LONGEST_NAME
 from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, floor_name
-from core.environments.mjcf.unmatched import unmatched, unmatched_by
+from core.environments.mjcf.unmatched import no_keyframe, unmatched, unmatched_by
 from core.environments.patterns import matching
 from core.environments.terms.inventory import Actuator, Inventory, Joint
 from core.errors import Problem
 
-_MAX_NAMES = 20
 _DRIVEN = ("hinge", "slide")
 # rad or m: poses are written with fewer digits than ranges.
 _SLACK = 1e-2
@@ -73,9 +70,7 @@ def _without_stiffness(servo: Servo, model: Inventory, pointer: str) -> Iterator
 
 def _of_pose(pose: Pose, model: Inventory, driven: Sequence[str], pointer: str) -> Iterator[Problem]:
     if pose.keyframe is not None and pose.keyframe not in model.keyframes:
-        named = ", ".join(name[:LONGEST_NAME] for name in islice(filter(None, model.keyframes), _MAX_NAMES))
-        has = f"it has {named}" if named else "it has none with a name"
-        yield Problem(f"{pointer}/keyframe", f"The model has no keyframe {pose.keyframe!r}; {has}.")
+        yield no_keyframe(pose.keyframe, model, f"{pointer}/keyframe")
     before, ranges = dict[str, str](), {joint.name: joint.range for joint in model.joints}
     for pattern, value in pose.joints.items():
         here = f"{pointer}/joints/{pattern.replace('~', '~0').replace('/', '~1')}"

@@ -20,7 +20,7 @@ from core.environments.mjcf.edit_options import (
 from core.environments.mjcf.model import name_parts
 from core.environments.patterns import Patterns, matches, matching
 from core.environments.task_model import compiled
-from core.environments.terms.actuation import add_motor
+from core.environments.terms.actuation import add_motor, position_servos
 from core.environments.terms.describe import near_world
 from core.errors import JobFailed
 from core.physics.compiled.coverage import uncovered
@@ -373,16 +373,9 @@ def add_pose(spec: mujoco.MjSpec, pose: Pose) -> None:
     qpos = posed(model := compiled(spec), pose)
     for key in [key for key in spec.keys if key.name == HOME]:
         spec.delete(key)
-    targets = [_target(model, number, qpos) for number in range(model.nu)]
+    servos, targets = np.flatnonzero(position_servos(model)), np.zeros(model.nu)
+    targets[servos] = qpos[model.jnt_qposadr[model.actuator_trnid[servos, 0]]]
     spec.add_key(name=HOME, qpos=qpos, ctrl=targets)
-
-
-def _target(model: mujoco.MjModel, actuator: int, qpos: np.ndarray) -> float:
-    on_a_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
-    is_servo = model.actuator_biasprm[actuator, 1] != 0
-    return (
-        float(qpos[model.jnt_qposadr[model.actuator_trnid[actuator, 0]]]) if on_a_joint and is_servo else 0.0
-    )
 
 
 def posed(model: mujoco.MjModel, pose: Pose) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from core.environments.mjcf.edit_options import HOME, ModelEdits
 from core.environments.mjcf.edits import clearance
 from core.environments.patterns import matching
+from core.environments.terms.actuation import position_servos
 from core.errors import Problem
 from core.physics.model import initial_qpos
 
@@ -88,7 +89,7 @@ def blows_up(
     Two motions that begin close to each other are compared, so that springs and weights do not count.
     """
     alone = _without_surroundings(model, share)
-    servos = np.flatnonzero(_is_servo(model))
+    servos = np.flatnonzero(position_servos(model))
     addresses = model.jnt_qposadr[model.actuator_trnid[servos, 0]]
     dofs = model.jnt_dofadr[model.actuator_trnid[servos, 0]]
     one, other = mujoco.MjData(alone), mujoco.MjData(alone)
@@ -124,18 +125,12 @@ def largest_stable(model: mujoco.MjModel, qpos: np.ndarray) -> float | None:
     return low
 
 
-def _is_servo(model: mujoco.MjModel) -> np.ndarray:
-    """[nu]: the actuators that hold a joint in a position."""
-    on_a_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    return on_a_joint & (model.actuator_biasprm[:, 1] < 0)
-
-
 def _without_surroundings(model: mujoco.MjModel, share: float) -> mujoco.MjModel:
     """A copy in which nothing touches, weighs or rubs, with this share of each servo's kp."""
     alone, off = copy.copy(model), mujoco.mjtDisableBit
     surroundings = off.mjDSBL_CONTACT | off.mjDSBL_GRAVITY | off.mjDSBL_FRICTIONLOSS | off.mjDSBL_LIMIT
     alone.opt.disableflags |= int(surroundings | off.mjDSBL_AUTORESET)
-    servos = _is_servo(model)
+    servos = position_servos(model)
     alone.actuator_gainprm[servos, 0] *= share
     alone.actuator_biasprm[servos, 1] *= share
     alone.actuator_biasprm[servos, 2] *= share**0.5

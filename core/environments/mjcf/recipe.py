@@ -15,8 +15,12 @@ from core.environments.mjcf import holding
 from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose
 from core.environments.mjcf.edits import edit, without_drawings
 from core.environments.task_model import compiled
-from core.environments.terms.describe import inventory, near_world, root_of, touchable
+from core.environments.terms.actuation import position_servos
+from core.environments.terms.describe import height_of, inventory, near_world, root_of, touchable
 from core.environments.terms.inventory import Inventory
+from core.environments.terms.locomotion import Posture
+from core.environments.terms.term import Term
+from core.environments.terms.walking import OBSERVATION, walking_reward
 from core.errors import JobFailed
 
 # s. Larger ones make contacts soft; smaller ones cost time.
@@ -208,12 +212,8 @@ def _servos(
     model: mujoco.MjModel, before: Inventory, joints: Sequence[str], feet: Sequence[_Standing]
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """Servos for the joints that have none, and sentences on guesses."""
-    held = {
-        model.joint(model.actuator_trnid[servo, 0]).name
-        for servo in range(model.nu)
-        if model.actuator_biasprm[servo, 1] < 0
-        and model.actuator_trntype[servo] == int(mujoco.mjtTrn.mjTRN_JOINT)
-    }
+    servos_there = model.actuator_trnid[position_servos(model), 0]
+    held = {model.joint(joint).name for joint in servos_there}
     wanted = [joint for joint in before.moving_joints() if joint.name in joints and joint.name not in held]
     strong = [joint.name for joint in wanted if joint.effort is not None]
     weak = [joint.name for joint in wanted if joint.effort is None]
@@ -277,16 +277,18 @@ def _timestep(spec: mujoco.MjSpec, edits: dict[str, Any]) -> float | None:
 
 def _height(model: mujoco.MjModel) -> float:
     """Of the root in the pose, m."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = model.key(HOME).qpos
-    mujoco.mj_kinematics(model, data)
-    return float(data.xpos[root_of(model), 2])
+    return height_of(model, model.key(HOME).qpos, root_of(model))
 
 
-def _posture(model: mujoco.MjModel, feet: Sequence[_Standing]) -> dict[str, Any]:
+def _as_json(term: Term) -> dict[str, Any]:
+    """Its kind and what it says beside the defaults."""
+    return {"kind": term.label, **term.model_dump(mode="json", exclude_defaults=True, exclude={"kind"})}
+
+
+def _posture(model: mujoco.MjModel, feet: Sequence[_Standing]) -> Posture:
     """All joints of a quadruped; of what walks on two legs, not those that swing them forward."""
     if len(feet) > 2:
-        return {"kind": "posture", "weight": 0.1}
+        return Posture(weight=0.1)
     data, legs = mujoco.MjData(model), sorted(_legs(model, feet))
     data.qpos[:] = model.key(HOME).qpos
     mujoco.mj_kinematics(model, data)
@@ -295,7 +297,7 @@ def _posture(model: mujoco.MjModel, feet: Sequence[_Standing]) -> dict[str, Any]
         model.joint(joint).name: 0.0 if abs(float(data.xaxis[joint] @ sideways)) > _ALONG else 0.5
         for joint in legs
     }
-    return {"kind": "posture", "weight": 0.15, "weights": {**weights, ".*": 1.0}}
+    return Posture(weight=0.15, weights={**weights, ".*": 1.0})
 
 
 def _task(model: mujoco.MjModel, feet: Sequence[_Standing]) -> dict[str, Any]:
@@ -307,29 +309,8 @@ def _task(model: mujoco.MjModel, feet: Sequence[_Standing]) -> dict[str, Any]:
         "gait": {"frequency": round(frequency, 1), "offsets": [0.5 * (n % 2) for n in range(len(feet))]},
         "action": {"kind": "joint_position"},
         "command": {"kind": "velocity"},
-        "observation": [
-            {"kind": "base_linear_velocity"},
-            {"kind": "base_angular_velocity", "scale": 0.25},
-            {"kind": "projected_gravity"},
-            {"kind": "command"},
-            {"kind": "joint_positions"},
-            {"kind": "joint_velocities", "scale": 0.05},
-            {"kind": "previous_action"},
-            {"kind": "gait_phase"},
-        ],
-        "reward": [
-            {"kind": "track_linear_velocity", "weight": 2.0},
-            {"kind": "track_angular_velocity", "weight": 2.0},
-            {"kind": "swing_height", "height": round(swing, 2)},
-            {"kind": "flat_orientation"},
-            _posture(model, feet),
-            {"kind": "action_rate", "weight": 0.02},
-            {"kind": "roll_pitch_rate", "weight": 0.05},
-            {"kind": "vertical_velocity", "weight": 0.5},
-            {"kind": "foot_slip", "weight": 0.1},
-            {"kind": "joint_velocity", "weight": 0.0005},
-            {"kind": "stand_still", "weight": 0.05},
-        ],
+        "observation": [_as_json(term) for term in OBSERVATION],
+        "reward": [_as_json(term) for term in walking_reward(round(swing, 2), _posture(model, feet))],
         "termination": [
             {"kind": "upright", "least": 0.5},
             {"kind": "height_range", "range": [round(0.45 * height, 3), round(3 * height, 3)]},

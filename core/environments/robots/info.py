@@ -1,7 +1,5 @@
 """The catalog's rows of robots: tasks of terms, for bodies that come with a package."""
 
-from collections.abc import Sequence
-
 from pydantic import Field
 
 from core.environments.info import EnvironmentInfo
@@ -12,25 +10,10 @@ from core.environments.robots.go1 import GO1
 from core.environments.robots.robot import Robot
 from core.environments.terms.actions import AnyAction, JointPositionAction
 from core.environments.terms.commands import AnyCommand, GaitClock, VelocityCommand
-from core.environments.terms.foot_terms import FootSlip, SwingHeight
 from core.environments.terms.inventory import inventory_of
-from core.environments.terms.locomotion import (
-    BaseAngularVelocity,
-    BaseLinearVelocity,
-    FlatOrientation,
-    GaitPhase,
-    JointPositions,
-    JointVelocities,
-    JointVelocityCost,
-    Posture,
-    ProjectedGravity,
-    RollPitchRate,
-    StandStill,
-    VerticalVelocity,
-)
-from core.environments.terms.observations import PreviousAction
+from core.environments.terms.locomotion import Posture
 from core.environments.terms.page import page
-from core.environments.terms.rewards import ActionRate, ControlCost, JointLimits
+from core.environments.terms.rewards import ControlCost, JointLimits
 from core.environments.terms.task import (
     Events,
     Feet,
@@ -42,48 +25,21 @@ from core.environments.terms.task import (
     varied,
 )
 from core.environments.terms.terminations import NotUpright, OutsideHeightRange
-from core.environments.terms.tracking import Command, TrackAngularVelocity, TrackLinearVelocity
-from core.environments.terms.vocabulary import AnyObservation, AnyReward
+from core.environments.terms.walking import OBSERVATION, walking_reward
 from core.physics.availability import Rule
 
 ROBOTS = {robot.name: robot for robot in (G1, GO1)}
 
-_SEEN: list[AnyObservation] = [
-    BaseLinearVelocity(),
-    BaseAngularVelocity(scale=0.25),
-    ProjectedGravity(),
-    Command(),
-    JointPositions(),
-    JointVelocities(scale=0.05),
-    PreviousAction(),
-    GaitPhase(),
-]
 _SIDEWAYS, _LEGS = ".*_(hip_yaw|hip_roll)_joint", ".*_(hip|knee|ankle)_.*"
 
 
-def _walks(swing: float, posture: Posture, more: Sequence[AnyReward] = ()) -> list[AnyReward]:
-    """The reward of a robot that walks by command. swing: the highest point of a foot's swing, in m."""
-    return [
-        TrackLinearVelocity(weight=2.0),
-        TrackAngularVelocity(weight=2.0),
-        SwingHeight(height=swing),
-        FlatOrientation(),
-        posture,
-        ActionRate(weight=0.02),
-        *more,
-        RollPitchRate(weight=0.05),
-        VerticalVelocity(weight=0.5),
-        FootSlip(weight=0.1),
-        JointVelocityCost(weight=0.0005),
-        JointLimits(weight=2.0, share=0.9),
-        StandStill(weight=0.05),
-    ]
+_LIMITS = [JointLimits(weight=2.0, share=0.9)]
 
 
 class JoystickOptions(TaskOptions):
     """A robot that walks by command."""
 
-    observation: Observations = Field(default=_SEEN, description="Terms to concatenate, in this order.")
+    observation: Observations = Field(default=OBSERVATION, description="Terms to concatenate, in this order.")
     action: AnyAction = Field(default=JointPositionAction(), description="How an action becomes controls.")
     command: AnyCommand | None = Field(
         default=VelocityCommand(), description="What the policy is told to do."
@@ -102,10 +58,11 @@ class G1Options(JoystickOptions):
     """Unitree's G1 that walks by command, on a floor."""
 
     reward: Rewards = Field(
-        default=_walks(
+        default=walking_reward(
             0.1,
             Posture(weight=0.15, weights={_SIDEWAYS: 0.5, _LEGS: 0.0, ".*": 1.0}),
             [ControlCost(weight=0.002)],
+            _LIMITS,
         ),
         description="Terms to sum.",
     )
@@ -125,7 +82,7 @@ class Go1Options(JoystickOptions):
     """Unitree's Go1 that walks by command, on a floor."""
 
     reward: Rewards = Field(
-        default=_walks(0.08, Posture(weight=0.1)),
+        default=walking_reward(0.08, Posture(weight=0.1), of_joints=_LIMITS),
         description="Terms to sum.",
     )
     termination: Terminations = Field(

@@ -137,6 +137,11 @@ def kind_of(model: mujoco.MjModel, actuator: int) -> ActuatorKind | None:
     return "velocity" if of_velocity < 0 and not of_position else None
 
 
+def position_servos(model: mujoco.MjModel) -> np.ndarray:
+    """[nu]: the actuators that hold a joint in a position."""
+    return (model.actuator_trntype == _ON_A_JOINT) & (model.actuator_biasprm[:, 1] < 0)
+
+
 def joint_names(model: mujoco.MjModel) -> list[str]:
     """Of the joint that each actuator moves; empty for one that moves something else."""
     return [

@@ -15,7 +15,7 @@ from pydantic_core import CoreSchema
 
 from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
-from core.environments.options import OpenRange, Weight
+from core.environments.options import NotDescending, OpenRange, Weight
 from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.readings import ContactCount, Reading
@@ -39,15 +39,9 @@ def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
 Direction = Annotated[Vector, AfterValidator(_not_zero)]
 
 
-def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
-    if bounds[0] > bounds[1]:
-        raise ValueError(f"[{bounds[0]:g}, {bounds[1]:g}] is not [low, high] with low ≤ high")
-    return bounds
-
-
-Interval = Annotated[tuple[Real, Real], Field(strict=False), AfterValidator(_not_descending)]
+Interval = Annotated[tuple[Real, Real], Field(strict=False), NotDescending]
 _Seconds = Annotated[float, Field(ge=0, le=10)]
-Delay = Annotated[tuple[_Seconds, _Seconds], Field(strict=False), AfterValidator(_not_descending)]
+Delay = Annotated[tuple[_Seconds, _Seconds], Field(strict=False), NotDescending]
 DELAY = "[lowest, highest] in s, drawn for each episode among the whole control steps in between; null: none."
 # Of a control step: what a delay may miss a whole number by.
 _ROUNDING = 1e-6

@@ -7,6 +7,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from core.documents import Strict
 from core.environments.info import Slice, named
+from core.environments.options import NotDescending
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.term import Array
@@ -30,12 +31,6 @@ Kind = Literal[
 NUM_LEVELS = 10
 
 
-def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
-    if bounds[0] > bounds[1]:
-        raise ValueError(f"[{bounds[0]:g}, {bounds[1]:g}] is not [easiest, hardest] with easiest ≤ hardest")
-    return bounds
-
-
 def _each_once(kinds: list[Kind]) -> list[Kind]:
     if len(set(kinds)) < len(kinds):
         raise ValueError("names a kind twice")
@@ -43,9 +38,9 @@ def _each_once(kinds: list[Kind]) -> list[Kind]:
 
 
 _Metres = Annotated[float, Field(ge=0.0, le=1.0)]
-_Span = Annotated[tuple[_Metres, _Metres], Field(strict=False), AfterValidator(_not_descending)]
+_Span = Annotated[tuple[_Metres, _Metres], Field(strict=False), NotDescending]
 _Degrees = Annotated[float, Field(ge=0.0, le=40.0)]
-_Angles = Annotated[tuple[_Degrees, _Degrees], Field(strict=False), AfterValidator(_not_descending)]
+_Angles = Annotated[tuple[_Degrees, _Degrees], Field(strict=False), NotDescending]
 _Level = Annotated[int, Field(ge=0, lt=NUM_LEVELS)]
 
 
@@ -59,7 +54,7 @@ class Terrain(Strict):
         default=["flat", "stairs_up", "stairs_down", "slope_up", "slope_down", "blocks"],
         description="Kinds of ground; environments have all of them in equal shares.",
     )
-    levels: Annotated[tuple[_Level, _Level], Field(strict=False)] = Field(
+    levels: Annotated[tuple[_Level, _Level], Field(strict=False), NotDescending] = Field(
         default=(0, NUM_LEVELS - 1), description="[lowest, highest] level, from 0 to 9."
     )
     curriculum: bool = Field(
@@ -73,13 +68,6 @@ class Terrain(Strict):
     stone_gap: _Span = Field(default=(0.03, 0.2), description="Between stones, in m.")
     gap: _Span = Field(default=(0.05, 0.4), description="The width of each of two gaps, in m.")
     pit_depth: _Span = Field(default=(0.03, 0.3), description="In m; the robot starts at the bottom.")
-
-    @model_validator(mode="after")
-    def _has_levels(self) -> Self:
-        low, high = self.levels
-        if low > high:
-            raise ValueError(f"levels: [{low}, {high}] is not [lowest, highest] with lowest ≤ highest")
-        return self
 
     @property
     def num_levels(self) -> int:

@@ -5,13 +5,12 @@ steps alone, so a run that resumes continues where it was.
 Source: Bengio et al., Curriculum Learning (2009).
 """
 
-from dataclasses import replace
 from typing import Protocol, cast, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 
-from core.environments.environment import Environment, Wrapped
+from core.environments.environment import Environment, innermost, with_innermost
 
 
 @runtime_checkable
@@ -33,9 +32,7 @@ class HasCurriculum(Protocol):
 
 def progress_at(environment: Environment, num_updates: jax.Array, steps_per_update: int) -> jax.Array | None:
     """From 0 to 1, [] float32; None if the environment has no curriculum. num_updates: [] int32."""
-    inner = environment
-    while isinstance(inner, Wrapped):
-        inner = inner.environment
+    inner = innermost(environment)
     steps = inner.curriculum_steps if isinstance(inner, HasCurriculum) else None
     # As float32, because the steps of a long run pass 2**31.
     return None if steps is None else jnp.minimum(num_updates * jnp.float32(steps_per_update / steps), 1.0)
@@ -45,9 +42,7 @@ def at_progress(environment: Environment, progress: jax.Array | None) -> Environ
     """The environment whose fresh starts are those at this progress; unchanged if it is None."""
     if progress is None:
         return environment
-    if isinstance(environment, Wrapped):
-        return replace(environment, environment=at_progress(environment.environment, progress))
-    return cast("HasCurriculum", environment).at_progress(progress)
+    return with_innermost(environment, lambda inner: cast("HasCurriculum", inner).at_progress(progress))
 
 
 def progress_metrics(progress: jax.Array | None) -> dict[str, jax.Array]:

@@ -7,13 +7,12 @@ Source: Rudin et al., Learning to Walk in Minutes Using Massively Parallel Deep 
 curriculum".
 """
 
-from dataclasses import replace
 from typing import Protocol, cast, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 
-from core.environments.environment import Environment, State, Wrapped
+from core.environments.environment import Environment, State, innermost, with_innermost
 from core.environments.terrain.grid import TerrainGrid
 
 
@@ -33,16 +32,13 @@ class HasTerrainLevels(Protocol):
 
 def terrain_levels(environment: Environment) -> TerrainGrid | None:
     """None if no fresh start depends on the last episode."""
-    while isinstance(environment, Wrapped):
-        environment = environment.environment
-    return environment.terrain_levels if isinstance(environment, HasTerrainLevels) else None
+    inner = innermost(environment)
+    return inner.terrain_levels if isinstance(inner, HasTerrainLevels) else None
 
 
 def at_cell(environment: Environment, cell: jax.Array) -> Environment:
     """The environment whose fresh starts are in this cell."""
-    if isinstance(environment, Wrapped):
-        return replace(environment, environment=at_cell(environment.environment, cell))
-    return cast("HasTerrainLevels", environment).at_terrain_cell(cell)
+    return with_innermost(environment, lambda inner: cast("HasTerrainLevels", inner).at_terrain_cell(cell))
 
 
 def first_cells(environment: Environment, key: jax.Array, number: int) -> jax.Array | None:

@@ -1,13 +1,12 @@
 """How ground and sky are drawn. No physics depends on it."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
 
+from core.environments import optional_packages
 from core.environments.dm_control.corridor.options import Aesthetic
-from core.errors import JobFailed
-from core.reasons import Reason
+from core.installation import to_install
 
 # A group that is not drawn.
 HIDDEN = 3
@@ -74,10 +73,6 @@ def _cover_the_ground(spec: mujoco.MjSpec) -> None:
 
 
 def _pictures() -> Path:
-    # `import dm_control` would look for a display.
-    found = find_spec("dm_control")
-    if found is None or found.origin is None:
-        raise JobFailed(
-            Reason.BAD_MODEL, "The aesthetic's pictures come with dm_control, which is not installed."
-        )
-    return Path(found.origin).parent / "locomotion" / "arenas" / "assets" / "outdoor_natural"
+    brings, install = "The aesthetic's pictures come with dm_control", to_install("dm-control")
+    path = "locomotion/arenas/assets/outdoor_natural"
+    return optional_packages.file("dm_control", path, brings=brings, install=install)

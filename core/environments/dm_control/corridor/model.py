@@ -1,12 +1,12 @@
 """The composed corridor, without the parts that cost time."""
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from core.environments import optional_packages
 from core.environments.dm_control.corridor.aesthetics import HIDDEN, draw
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.layouts import (
@@ -20,9 +20,7 @@ from core.environments.dm_control.corridor.layouts import (
 from core.environments.dm_control.corridor.termination import add_contact_sensors
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.dm_control.dm_control_import import without_a_display
-from core.errors import JobFailed
 from core.installation import to_install
-from core.reasons import Reason
 
 
 def composed(options: CorridorOptions) -> tuple[mujoco.MjSpec, list[float]]:
@@ -78,14 +76,8 @@ def _named(source: str) -> Any:
 
 
 def _module(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ModuleNotFoundError as error:
-        raise JobFailed(
-            Reason.BAD_MODEL,
-            f"Corridors and their walkers come with dm_control, which this worker does not have ({error}). "
-            f"Install it there with `{to_install('dm-control')}`, or ask for another environment.",
-        ) from error
+    brings, install = "Corridors and their walkers come with dm_control", to_install("dm-control")
+    return optional_packages.module(name, brings=brings, install=install)
 
 
 _SETTLING_S = 3.0

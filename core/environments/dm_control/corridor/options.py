@@ -9,21 +9,18 @@ from core.bounds import Real
 from core.documents import Strict
 from core.environments.dm_control.corridor.walkers import Walker
 from core.environments.info import Slice
-from core.environments.options import Weight
+from core.environments.options import NotDescending, Weight
 from core.environments.terms.array_slices import CINERT, CVEL, qfrc_actuator, rows
 from core.environments.terms.inventory import Inventory
 
 
-def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
-    low, high = bounds
-    if low > high:
-        raise ValueError(f"[{low:g}, {high:g}] is not [low, high] with low ≤ high")
-    if low < 0:
-        raise ValueError(f"must not be negative, but [{low:g}, {high:g}] is")
+def _not_negative(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] < 0:
+        raise ValueError(f"must not be negative, but [{bounds[0]:g}, {bounds[1]:g}] is")
     return bounds
 
 
-Drawn = Annotated[tuple[Real, Real], Field(strict=False), AfterValidator(_not_descending)]
+Drawn = Annotated[tuple[Real, Real], Field(strict=False), NotDescending, AfterValidator(_not_negative)]
 """[low, high] in metres: each length is drawn uniformly between them."""
 
 

@@ -1,15 +1,13 @@
 """dm_control's rat on a floor. Source: Merel et al., "Deep neuroethology of a virtual rodent", 2020."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
 
+from core.environments import optional_packages
 from core.environments.dm_control.rodent.info import RodentOptions
-from core.errors import JobFailed
 from core.installation import to_install
 from core.physics.engine import SolverSettings
-from core.reasons import Reason
 
 _SETTLING_S = 2.0
 # The extent that a picture shows: the body, not the floor.
@@ -88,12 +86,6 @@ def _at_rest(model: mujoco.MjModel) -> list[float]:
 
 
 def _xml() -> Path:
-    # `import dm_control` would look for a display.
-    found = find_spec("dm_control")
-    if found is None or found.origin is None:
-        raise JobFailed(
-            Reason.BAD_MODEL,
-            "The rodent's body comes with dm_control, which this worker does not have. Install it there "
-            f"with `{to_install('dm-control')}`, or ask for another environment.",
-        )
-    return Path(found.origin).parent / "locomotion" / "walkers" / "assets" / "rodent.xml"
+    brings, install = "The rodent's body comes with dm_control", to_install("dm-control")
+    path = "locomotion/walkers/assets/rodent.xml"
+    return optional_packages.file("dm_control", path, brings=brings, install=install)

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from core.environments import optional_packages
 from core.environments.environment import CONTINUOUS, Discretization, State
 from core.environments.external.compat import as_float, plain_key, root_of
 from core.environments.info import NoOptions
-from core.errors import JobFailed
 from core.installation import to_install
 from core.physics.engine import (
     NOMINAL,
@@ -23,7 +23,6 @@ from core.physics.engine import (
     PhysicsState,
     check_model_fields,
 )
-from core.reasons import Reason
 
 # The fields of the last Data that a step of MJX reads; everything else follows from these.
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
@@ -43,15 +42,9 @@ def make(options: NoOptions, build_engine: EngineBuilder, name: str) -> "Playgro
 
 def load(name: str, implementation: Literal["jax", "warp"]) -> Any:
     """The package's own object. Only its control suite is used, because that downloads nothing."""
-    try:
-        suite: Any = import_module("mujoco_playground").dm_control_suite
-    except ModuleNotFoundError as error:
-        raise JobFailed(
-            Reason.BAD_MODEL,
-            f"The environment comes with the package playground, which this worker does not have ({error}). "
-            f"Install it there with `{to_install('playground')}`.",
-        ) from error
-    return suite.load(name, config_overrides={"impl": implementation})
+    brings, install = "The environment comes with the package playground", to_install("playground")
+    package = optional_packages.module("mujoco_playground", brings=brings, install=install)
+    return package.dm_control_suite.load(name, config_overrides={"impl": implementation})
 
 
 class Playground:

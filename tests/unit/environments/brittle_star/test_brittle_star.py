@@ -13,7 +13,7 @@ from core.algorithms.catalog import resolve
 from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.environments import catalog
+from core.environments import catalog, optional_packages
 from core.environments.brittle_star import model as composing
 from core.environments.brittle_star.info import INFOS
 from core.environments.brittle_star.model import star_model
@@ -345,7 +345,7 @@ def test_a_worker_without_biorobot_says_what_to_install(monkeypatch: pytest.Monk
     def missing(name: str) -> object:
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr(composing, "import_module", missing)
+    monkeypatch.setattr(optional_packages, "import_module", missing)
     with pytest.raises(JobFailed, match="uv sync --inexact --extra brittle-star") as failed:
         star_model(UndirectedOptions())
     assert failed.value.reason == "bad_model"

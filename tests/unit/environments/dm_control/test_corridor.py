@@ -14,8 +14,7 @@ import pytest
 
 from core.algorithms.catalog import resolve
 from core.algorithms.ppo.spec import PPOSpec
-from core.environments import catalog
-from core.environments.dm_control.corridor import model as composing
+from core.environments import catalog, optional_packages
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import composed, corridor_model, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS, Walker
@@ -372,7 +371,7 @@ def test_a_worker_without_dm_control_says_what_to_install(monkeypatch: pytest.Mo
     def missing(name: str) -> object:
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr(composing, "import_module", missing)
+    monkeypatch.setattr(optional_packages, "import_module", missing)
     with pytest.raises(JobFailed, match="uv sync --inexact --extra dm-control") as failure:
         corridor_model(CorridorOptions())
     assert failure.value.reason == "bad_model"

@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.environments import catalog
-from core.environments.dm_control.rodent import model as rodents_model
+from core.environments import catalog, optional_packages
 from core.environments.dm_control.rodent.model import rodent_model
 from core.environments.environment import State
 from core.errors import JobFailed, Rejected
@@ -174,7 +173,7 @@ def test_a_gpu_gets_warp_for_it_and_the_host_without_warp(monkeypatch: pytest.Mo
 
 
 def test_a_worker_without_dm_control_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rodents_model, "find_spec", lambda _: None)
+    monkeypatch.setattr(optional_packages, "find_spec", lambda _: None)
     with pytest.raises(JobFailed, match="uv sync --inexact --extra dm-control") as failure:
         build()
     assert failure.value.reason == "bad_model"

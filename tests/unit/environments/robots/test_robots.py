@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from core import installation
+from core.environments import optional_packages
 from core.environments.mjcf.edit_options import HOME
 from core.environments.robots import model as models
 from core.environments.robots.g1 import G1
@@ -171,7 +172,7 @@ def test_a_worker_without_the_files_says_what_to_install(monkeypatch: pytest.Mon
     def nothing(_: str) -> ModuleSpec | None:
         return None
 
-    monkeypatch.setattr(models, "find_spec", nothing)
+    monkeypatch.setattr(optional_packages, "find_spec", nothing)
     with pytest.raises(JobFailed, match="this worker does not have") as failed:
         models.spec(G1)
     assert "uv sync --inexact --group robots" in failed.value.detail

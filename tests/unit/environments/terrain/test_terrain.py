@@ -148,9 +148,9 @@ def test_a_terrain_is_not_simulated_elsewhere(tmp_path: Path) -> None:
     [
         ({"kinds": ["lava"]}, "terrain/kinds/0", "Input should be 'flat'"),
         ({"kinds": ["gaps", "gaps"]}, "terrain/kinds", "twice"),
-        ({"levels": [5, 2]}, "terrain", "lowest ≤ highest"),
+        ({"levels": [5, 2]}, "terrain/levels", "low ≤ high"),
         ({"levels": [0, 10]}, "terrain/levels/1", "less than 10"),
-        ({"stair_height": [0.2, 0.1]}, "terrain/stair_height", "easiest ≤ hardest"),
+        ({"stair_height": [0.2, 0.1]}, "terrain/stair_height", "low ≤ high"),
         ({"slope": [0, 80]}, "terrain/slope/1", "less than or equal to 40"),
     ],
 )
