@@ -53,7 +53,7 @@ def test_an_inventory_knows_what_joints_give() -> None:
         ),
         ({"servos": [{"joints": [".*_hip"]}]}, "/servos/0/kp", "no greatest torque of the joint 'left_hip'"),
         ({"pose": {"joints": {".*_hip": 30}}}, "/pose/joints/.*_hip", "'left_hip' goes from -1.571 to 1.571"),
-        ({"pose": {"keyframe": "dwon"}}, "/pose/keyframe", "no keyframe 'dwon'; it has up."),
+        ({"pose": {"keyframe": "dwon"}}, "/pose/keyframe", "no keyframe 'dwon'; it has 1, among them up."),
         ({"collide": "feet"}, "/feet", "no foot is named"),
         ({"feet": ["left_foot", "right_fot"]}, "/feet/1", "did you mean 'right_foot'"),
         ({"feet": ["world"]}, "/feet/0", "no body that 'world' matches"),
