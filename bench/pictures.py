@@ -1,6 +1,6 @@
 """Makes the pictures of docs/pictures: `python -m bench.pictures page|gallery|film docs/pictures [NAME ...]`.
 
-`page` trains two ants and a pendulum on this machine, for some minutes, and looks at them in Chromium.
+`page` trains two ants, a pendulum and a robot here, for some minutes, and looks at them in Chromium.
 `gallery` trains each body, writes NAME-run.webp and prints what the first and the last evaluation measured.
 `film` writes the picture of one body from the file of a policy that was trained elsewhere: `--policy FILE`.
 Look at every picture before you commit it.
@@ -134,7 +134,7 @@ def main() -> None:
 
 def _take(browser: Browser, client: Client, url: str, folder: Path) -> None:
     desk = browser.new_page(viewport={"width": 1280, "height": 900}, reduced_motion="reduce")
-    client.add_model(_EXAMPLES / "quadruped.xml")
+    walks = client.add_model(_EXAMPLES / "quadruped.xml").recipe_job
     # A worker that trains would not draw the body.
     _show(desk, f"{url}/#/submit?environment=ant")
     desk.get_by_role("img", name="ant, camera track").wait_for(timeout=120_000)
@@ -153,6 +153,14 @@ def _take(browser: Browser, client: Client, url: str, folder: Path) -> None:
         client.wait(job.id)
     pendulum = client.submit({"environment": "inverted_pendulum", "name": "pendulum", "video": _VIDEO})
     client.wait(pendulum.id)
+    robot = client.submit({**(walks or {}), "name": "quadruped"})
+    client.wait(robot.id)
+    _show(desk, f"{url}/#/jobs/{robot.id}/push")
+    desk.get_by_text("Steer it with W A S D").wait_for(timeout=120_000)
+    desk.keyboard.down("w")
+    desk.wait_for_timeout(8000)
+    _keep(desk, folder / "page-drive.webp")
+    desk.keyboard.up("w")
     running_job = client.submit({**_ANT, "name": "a longer run", "algorithm": {"num_timesteps": 10**7}})
     waiting = client.submit({"environment": "hopper", "name": "hopper, waits for the worker"})
     for event in client.events(running_job.id):
