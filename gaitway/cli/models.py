@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import typer
@@ -112,6 +113,10 @@ def _told(model: ModelView, as_json: bool) -> None:
     if model.description:
         for line in _lines(model.description):
             print(f"  {line}")
+    if model.recipe_job is not None:
+        print(
+            f"A job in which it learns to walk: gaitway models show {quote(model.name or model.id)} --recipe"
+        )
 
 
 def _recipe(model: ModelView) -> None:

@@ -62,7 +62,10 @@ def notes(model: mujoco.MjModel, found: Inventory, fall: Fall) -> Iterator[str]:
         far = np.linalg.norm(fall.ended - fall.begun)
         yield f"It is {far:.0f} m away within 2 s, without any action: {_what_helps(model)}"
     elif found.travels and (fell := fall.begun[2] - fall.ended[2]) > _FAR_M:
-        yield f"It fell {fell:.0f} m within 2 s: there is no floor that it touches."
+        yield (
+            f"It fell {fell:.0f} m within 2 s: there is no floor that it touches. "
+            '`edits` {"floor": true} puts one below it, as its recipe does.'
+        )
 
 
 def _what_helps(model: mujoco.MjModel) -> str:

@@ -46,7 +46,7 @@ function Drop({ onAdded }) {
       const model = await (await send(path, { method: "POST", body: file, type })).json();
       const read = model.description?.main;
       const isThere = read && read !== file.name && type.endsWith("zip") ? `is there, read from ${read}.` : "is there.";
-      setState({ text: `${file.name} ${model.status === "validating" ? "waits for a worker to read it." : isThere}` });
+      setState({ text: `${file.name} ${model.status === "validating" ? "waits for a worker to read it; a busy one does so after its job." : isThere}` });
     } catch (error) {
       setState({ error, file });
     }
@@ -88,19 +88,21 @@ function Model({ model, again }) {
     ${found?.recipe && html`<${Recipe} model=${model} />`}
     ${error && html`<${Failure} error=${error} />`}
     <p class="actions">
-      ${model.status === "ready" && html`<a class="button" href=${href(["submit"], { environment: "mjcf", model: model.id })}>Train it</a>`}
+      ${found?.recipe && html`<a class="button" href=${href(["submit"], { job: JSON.stringify(walkingJob(model)) })}>Let it walk by command</a>`}
+      ${model.status === "ready" && html`<a class=${found?.recipe ? "" : "button"} href=${href(["submit"], { environment: "mjcf", model: model.id })}>${found?.recipe ? "Train it on terms of your own" : "Train it"}</a>`}
       <${Confirm} text="Delete" question="Delete this model?" onYes=${discard} isDangerous />
     </p>
   </section>`;
 }
 
 /** A job in which the robot learns to walk by command: `gaitway models show NAME --recipe`. */
-function Recipe({ model: { id, description: { recipe, recipe_notes: notes = [] } } }) {
-  const job = { kind: "train", environment: { id: "mjcf", options: { model: id, ...recipe } }, battery: true };
+const walkingJob = ({ id, description: { recipe } }) => ({ kind: "train", environment: { id: "mjcf", options: { model: id, ...recipe } }, battery: true });
+
+function Recipe({ model }) {
+  const { recipe_notes: notes = [] } = model.description;
   return html`<details><summary>A job in which it learns to walk by command</summary>
     ${notes.map((note) => html`<p class="facts"><${Prose} text=${note} /></p>`)}
-    <${Copy} text=${JSON.stringify(job, null, 2)} name="The job as JSON" />
-    <p><a href=${href(["submit"], { job: JSON.stringify(job) })}>Open it in the form</a></p>
+    <${Copy} text=${JSON.stringify(walkingJob(model), null, 2)} name="The job as JSON" />
   </details>`;
 }
 

@@ -46,6 +46,8 @@ def plugins(
 
         print(page_of_plugin(chosen[0]), end="")
     else:
+        if not chosen:
+            print("No package here adds terms or bodies.")
         for plugin in chosen:
             print(f"{plugin.name:<20}  {plugin.label} {plugin.code}  {plugin.problem or _has(plugin)}")
     raise typer.Exit(1 if any(plugin.problem for plugin in chosen) else 0)

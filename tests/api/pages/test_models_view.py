@@ -1,5 +1,6 @@
 """Models on the page: sent by the file input or by a drop, and what a worker found in them."""
 
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -45,7 +46,10 @@ def expect_the_ball(page: Page) -> None:
     page.get_by_text("A job in which it learns to walk by command").click()
     expect(page.get_by_text("It has no keyframe.")).to_be_visible()
     expect(page.get_by_role("region", name="The job as JSON")).to_contain_text('"feet": [')
-    expect(page.get_by_role("link", name="Train it")).to_be_visible()
+    expect(page.get_by_role("link", name="Let it walk by command")).to_have_attribute(
+        "href", re.compile("^#/submit.job=.*%22feet%22")
+    )
+    expect(page.get_by_role("link", name="Train it on terms of your own")).to_be_visible()
 
 
 @pytest.mark.usefixtures("reading")
