@@ -237,13 +237,12 @@ class GaitwayWorker(rq.Worker):
     def reorder_queues(self, reference_queue: Any) -> None:
         """RQ calls it with the queue of the message that it has just taken.
 
-        A preview or a model comes before all jobs, but not after another one: any client can send them.
+        A preview comes before all jobs, and a model after it. Then a job has its turn: any client can send
+        both.
         """
         self._idle_since = inf
-        jobs_first = reference_queue.name in (PREVIEWS, MODELS)
-        self._ordered_queues = sorted(
-            self.queues, key=lambda queue: jobs_first and queue.name in (PREVIEWS, MODELS)
-        )
+        had_turns = {PREVIEWS: (PREVIEWS,), MODELS: (PREVIEWS, MODELS)}.get(reference_queue.name, ())
+        self._ordered_queues = sorted(self.queues, key=lambda queue: queue.name in had_turns)
 
     def _end_in_time(self) -> None:
         """Shut down before the machine is taken away, or because nothing has been there to do for long."""

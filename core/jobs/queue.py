@@ -9,7 +9,7 @@ from core.jobs.spec import MOST_GPUS, Accelerator, Priority
 from core.previews.record import PreviewQueue
 from core.user_models.record import ModelQueue
 
-# The queues of what somebody waits for at a screen: they come before all jobs, one between two jobs.
+# The queues of what somebody waits for at a screen: one of each comes before the next job.
 PREVIEWS, MODELS = "gaitway-previews", "gaitway-models"
 # The names of queues of jobs on several hosts begin like this.
 SEVERAL_HOSTS = "gaitway-hosts"

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from core.rendering import floor
 
+# Geoms and sites of higher groups are not drawn: MuJoCo's default.
+SHOWN_GROUPS = 3
 Floats = NDArray[np.float64]
 
 # The name of the body that marks an episode's target in a model.
@@ -94,8 +96,18 @@ def prepare(model: mujoco.MjModel, view: CameraView, quality: Quality, *, width:
     _size_overlays(model, view.radius)
     floor.without_end(model)
     _light(model)
+    _show_undrawn(model)
     _recolour(model)
     _mark_target(model, TARGET_SHARE * view.radius)
+
+
+def _show_undrawn(model: mujoco.MjModel) -> None:
+    """Show the collision geoms of a robot that has few others: its drawings were left out of the file."""
+    own = model.geom_bodyid > 0
+    is_hidden = (model.geom_group >= SHOWN_GROUPS) | (model.geom_rgba[:, 3] == 0)
+    bodies, drawn = (len(set(model.geom_bodyid[some])) for some in (own, own & ~is_hidden))
+    if 2 * drawn < bodies:
+        model.geom_group[own] = 0
 
 
 def _travels(model: mujoco.MjModel, root: int) -> bool:

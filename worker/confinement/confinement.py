@@ -7,9 +7,11 @@ import os
 import resource
 import site
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +25,7 @@ _SYSTEM = (
     *("/etc/ld.so.cache", "/etc/localtime", "/dev/null", "/dev/zero", "/dev/urandom"),
     *("/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/self", "/sys/devices/system/cpu"),
 )
-_PACKAGES = ("core", "worker")
+PACKAGES = ("core", "worker", "gaitway")
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,14 @@ def confine(limits: Limits, folder: Path, *, strictly: bool = True) -> tuple[Lay
     return tuple(held)
 
 
+def plugin_folders() -> Iterator[Path]:
+    """Those of packages that add environments: one that is installed as editable lies anywhere."""
+    for point in entry_points(group="gaitway.environments"):
+        spec = find_spec(point.module.partition(".")[0])
+        if spec is not None:
+            yield from map(Path, spec.submodule_search_locations or [spec.origin or ""])
+
+
 def _keep_to(folder: Path) -> bool:
     """False if there is no Landlock."""
     if not landlock.version():
@@ -124,14 +134,16 @@ def _keep_to(folder: Path) -> bool:
         sys.exec_prefix,
         *os.environ.get("LD_LIBRARY_PATH", "").split(":"),
     }
+    plugins = [folder for folder in plugin_folders() if folder.exists()]
     landlock.restrict(
         readable=[
             *map(Path, _SYSTEM),
             *map(Path, libraries - {"", "/"}),
-            *(_CODE / name for name in _PACKAGES),
+            *(_CODE / name for name in PACKAGES),
+            *plugins,
         ],
         # Python lists the folders that it looks for modules in. The checkout may hold an `.env`.
-        listable=[_CODE],
+        listable=[_CODE, *(folder.parent for folder in plugins)],
         writable=[folder, Path("/dev/null")],
     )
     return True

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from worker.confinement import landlock, privileges
+from worker.confinement.confinement import PACKAGES, plugin_folders
 
 _CODE = Path(__file__).resolve().parents[2]
 # Folders of sys.path that lie around this one are not ours: a checkout may hold an `.env`, and the folder
 # around `site-packages` may be the user's home.
 _AROUND_OURS = _CODE.parents[2] if _CODE.name == "_service" else _CODE
-_PACKAGES = ("core", "worker")
 # Programs, libraries and drivers, and what they ask about the machine. Of /etc, what is no secret.
 _SYSTEM = (
     *("/usr", "/lib", "/lib32", "/lib64", "/bin", "/sbin", "/nix/store", "/proc", "/sys"),
@@ -72,7 +72,8 @@ def keep_to_own_files(folder: Path) -> bool:
 def _readable(folder: Path) -> Iterator[Path]:
     yield from map(Path, _SYSTEM)
     yield from (Path("/etc", name) for name in _ETC)
-    yield from (_CODE / name for name in _PACKAGES)
+    yield from (_CODE / name for name in PACKAGES)
+    yield from plugin_folders()
     named = [path for name in _NAMED_LIBRARIES for path in os.environ.get(name, "").split(":")]
     yield from (Path(path) for path in (sys.prefix, sys.base_prefix, sys.exec_prefix) if path != "/")
     for path in {*sys.path, *named} - {""}:

@@ -17,9 +17,8 @@ from core.rendering.replay.glb import Glb
 from core.rendering.replay.materials import Materials
 from core.rendering.replay.shapes import ENDLESS_M, Floats, Part, Surface, surface_of
 from core.rendering.replay.skins import add_skins
-from core.rendering.scene import CameraView
+from core.rendering.scene import SHOWN_GROUPS, CameraView
 
-_SHOWN_GROUPS = 3
 # A geom of this colour has that of its material.
 _UNSET = (0.5, 0.5, 0.5, 1.0)
 
@@ -28,7 +27,7 @@ def parts(model: mujoco.MjModel) -> Iterator[Part]:
     """The geoms, then the sites; the node of geom 3 is named `geom_3`."""
     for geom in range(model.ngeom):
         rgba = _colour(model, model.geom_rgba[geom], int(model.geom_matid[geom]))
-        if model.geom_group[geom] < _SHOWN_GROUPS and rgba[3] > 0:
+        if model.geom_group[geom] < SHOWN_GROUPS and rgba[3] > 0:
             yield Part(
                 f"geom_{geom}",
                 mujoco.mjtGeom(int(model.geom_type[geom])),
@@ -42,7 +41,7 @@ def parts(model: mujoco.MjModel) -> Iterator[Part]:
             )
     for site in range(model.nsite):
         rgba = _colour(model, model.site_rgba[site], int(model.site_matid[site]))
-        if model.site_group[site] < _SHOWN_GROUPS and rgba[3] > 0:
+        if model.site_group[site] < SHOWN_GROUPS and rgba[3] > 0:
             yield Part(
                 f"site_{site}",
                 mujoco.mjtGeom(int(model.site_type[site])),

@@ -25,6 +25,7 @@ from core.jobs.job import Job
 from core.jobs.workers import how_to_install, packages_for, packages_here
 from core.physics.choose import engine_builder
 from tests.unit.jobs.making import make_job
+from worker.confinement.confinement import plugin_folders
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "mylab" / "mylab"
 Install = Callable[..., Plugin]
@@ -187,3 +188,8 @@ def test_a_term_that_cannot_be_computed_ends_the_job_with_its_name(install: Inst
     row = replace(page, arguments={**page.arguments, "task": lambda _: bad})
     with pytest.raises(JobFailed, match=r"The term mylab/x cannot be computed\. ZeroDivisionError"):
         catalog.make(row, page.options(), engine_builder("native"))
+
+
+def test_a_confined_process_may_read_a_package_that_lies_anywhere(install: Install, tmp_path: Path) -> None:
+    install()
+    assert list(plugin_folders()) == [tmp_path / "mylab" / "mylab"]

@@ -159,7 +159,7 @@ def test_a_worker_tells_how_an_attempt_ended_that_was_left_on_its_disk(
     assert list((settings.data_dir / "left").iterdir()) == []
 
 
-def test_after_a_preview_or_a_model_a_worker_takes_a_job_first(
+def test_a_job_has_its_turn_after_a_preview_and_a_model(
     settings: WorkerSettings,
 ) -> None:
     """L10: previews alone kept all workers from jobs."""
@@ -171,8 +171,9 @@ def test_after_a_preview_or_a_model_a_worker_takes_a_job_first(
         return [queue.name for queue in worker._ordered_queues]
 
     assert (previews.name, next_queues()) == (PREVIEWS, list(queue_names("cpu")))
-    for queue in (previews, models):
-        worker.reorder_queues(queue)
-        assert next_queues() == [*(queue.name for queue in jobs), PREVIEWS, MODELS]
+    worker.reorder_queues(previews)
+    assert next_queues() == [MODELS, *(queue.name for queue in jobs), PREVIEWS]
+    worker.reorder_queues(models)
+    assert next_queues() == [*(queue.name for queue in jobs), PREVIEWS, MODELS]
     worker.reorder_queues(jobs[0])
     assert next_queues() == list(queue_names("cpu"))
