@@ -19,15 +19,15 @@ from worker.compile_cache.local import CACHE, lend, take_over
 
 
 @contextmanager
-def serving(data: Path, workers: int = 1) -> Iterator[Client]:
-    """A client of a stack with so many workers, which start in this environment. data: its folder.
+def serving(data: Path, workers: int = 1, python: str = sys.executable) -> Iterator[Client]:
+    """A client of a stack with so many workers. data: its folder. python: its interpreter.
 
     The worker finds what earlier stacks compiled.
     """
     lend(KEPT / "service", programs := data / CACHE / KEPT.name)
     port = free_ports(1)[0]
     options = ["--data", str(data), "--port", str(port), "--workers", str(workers)]
-    command = [sys.executable, "-m", "gaitway.service.embedded.up", *options]
+    command = [python, "-m", "gaitway.service.embedded.up", *options]
     stack = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
     with stack, Client(f"http://127.0.0.1:{port}") as client:
         assert stack.stdout is not None
