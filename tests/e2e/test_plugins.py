@@ -41,7 +41,6 @@ JOB: dict[str, Any] = {
     "checkpoints": {"every_steps": 640},
     "video": {"width": 160, "height": 120, "seconds": 0.4},
 }
-UNEVEN = {"kind": "mylab/uneven_power", "weight": 0.001}
 
 
 @pytest.fixture(scope="module")
@@ -111,11 +110,8 @@ def test_the_form_has_its_body_and_its_term(client: Client, browser: Browser) ->
 def test_a_resume_tells_that_the_package_changed_and_a_worker_without_it_leaves_the_job(
     client: Client, package: Path
 ) -> None:
-    options = {"reward": [{"kind": "alive"}, UNEVEN], "observation": [{"kind": "qpos"}, {"kind": "qvel"}]}
-    model = client.add_model(package / "monopod.xml", timeout=60)
-    environment = {"id": "mjcf", "options": {"model": model.id, **options}}
     long = {**JOB["algorithm"], "num_timesteps": 10**7}
-    job = client.submit(JOB, environment=environment, algorithm=long, video=None)
+    job = client.submit(JOB, environment="mylab/monopod", algorithm=long, video=None)
     pid = None
     for event in client.events(job.id):
         if event.kind == "phase" and event.data["name"] == "process":
