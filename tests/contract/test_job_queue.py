@@ -118,10 +118,10 @@ class TestRQ:
         # RQ must neither stop the job, nor keep its result, nor start a second copy of it.
         assert (rq_job.timeout, rq_job.result_ttl, rq_job.retries_left) == (-1, 0, None)
 
-    def test_a_worker_finds_the_model_behind_all_jobs(self, redis_client: redis.Redis) -> None:
+    def test_a_worker_finds_the_model_before_all_jobs(self, redis_client: redis.Redis) -> None:
         RQQueue(redis_client).enqueue_model(MODEL)
-        (rq_job,) = waiting(redis_client, queue_names("cpu")[-1])
-        assert queue_names("gpu:0")[-1] == queue_names("cpu")[-1]
+        (rq_job,) = waiting(redis_client, queue_names("cpu")[1])
+        assert queue_names("gpu:0")[1] == queue_names("cpu")[1]
         assert (rq_job.func_name, tuple(rq_job.args)) == (MODEL_TASK, (MODEL,))
         assert job_of(rq_job.id) is None
 

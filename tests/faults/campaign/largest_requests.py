@@ -291,6 +291,12 @@ def _submissions(service: Service, route: str) -> Iterator[Form]:
     yield Form(route, "1 MiB, refused", "POST", "/jobs", (422,), _json(wrong), {"Content-Type": _JSON})
 
 
+def _checks(service: Service, route: str) -> Iterator[Form]:
+    for what, status, job in (("1 MiB", 200, largest_job()), ("1 MiB, refused", 422, {"name": "n" * 10**6})):
+        body = _json(job).ljust(_LARGEST_BODY)
+        yield Form(route, what, "POST", "/jobs/check", (status,), body, {"Content-Type": _JSON})
+
+
 def _sweeps(service: Service, route: str) -> Iterator[Form]:
     headers = {"Content-Type": _JSON, "Idempotency-Key": "s" * 255}
     body = _json(largest_sweep()).ljust(_LARGEST_BODY)
@@ -413,6 +419,7 @@ _FORMS: dict[str, Forms] = {
     "DELETE /tokens/{token_id}": _of_accounts("DELETE", "/tokens/0"),
     "GET /audit": _of_accounts("GET", "/audit?limit=200"),
     "POST /jobs": _submissions,
+    "POST /jobs/check": _checks,
     "GET /jobs": _listing_of_jobs,
     "GET /jobs/{job_id}": _of_import(""),
     "DELETE /jobs/{job_id}": _deletions,
