@@ -255,7 +255,7 @@ def _print_outcome(client: Client, job: JobView) -> None:
 
 
 def _acted(shown: Shown, policy: Path) -> Sequence[Image.Image]:
-    """What the policy of a file does, in this process."""
+    """Pictures of a rollout in this process, under the policy of a file."""
     info, options = catalog.resolve(shown.job["environment"], shown.filmed)
     environment = catalog.make(info, options, engine_builder("native"))
     act = make_inference(read_policy(policy.read_bytes()))

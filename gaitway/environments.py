@@ -1,7 +1,7 @@
-"""What a package of your own is written with: terms of tasks, and bodies (docs/environments/your_own.md).
+"""The names that a package of terms and bodies imports (docs/environments/your_own.md).
 
-It needs what the service's processes have installed (`gaitway[up]`), and loads neither JAX nor MuJoCo, since
-the API imports such packages, too.
+This module needs what the service's processes have installed (`gaitway[up]`), and loads neither JAX nor
+MuJoCo, since the API imports such packages, too.
 """
 
 # ruff: noqa: E402

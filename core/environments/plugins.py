@@ -255,7 +255,7 @@ def robot_of(plugin: str, body: Body, module: ModuleType) -> Robot:
 
 
 def digest_of(robot: Robot) -> str:
-    """Of what an inventory depends on: the file and the edits."""
+    """The hash of what an inventory is made from: the file and the edits."""
     edits = robot.edits.model_dump_json().encode()
     return hashlib.sha256(Path(robot.file).read_bytes() + edits).hexdigest()
 

@@ -17,7 +17,7 @@ from core.rendering.scene import TARGET_COLOUR, TARGET_SHARE, CameraView
 
 Floats = NDArray[np.float64]
 
-# Of the command and of what is measured.
+# Colours (red, green, blue) of the command, and of the velocity that is measured.
 _COLOURS = ((0.184, 0.435, 0.871), (0.941, 0.627, 0.125))
 # The length of an arrow for each m/s, in radii of the body.
 _LENGTH = 1.0

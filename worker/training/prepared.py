@@ -1,4 +1,4 @@
-"""What the end of a training needs, made in a thread while a GPU trains and the processor is idle."""
+"""Values for the end of a training, made in a thread while a GPU trains and the processor is idle."""
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, floor_name
+from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, free_name
 from core.environments.mjcf.unmatched import no_keyframe, unmatched, unmatched_by
 from core.environments.patterns import matching
 from core.environments.terms.inventory import Actuator, Inventory, Joint
@@ -104,7 +104,7 @@ def edited(model: Inventory, edits: ModelEdits) -> Inventory:
     if edits == ModelEdits():  # One that was described before colliders were keeps its number of pairs.
         return model
     actuators = _actuators(model, edits.servos)
-    floor = [floor_name(model.geoms)] if _needs_floor(model, edits) else []
+    floor = [free_name("floor", model.geoms)] if _needs_floor(model, edits) else []
     keyframes = [name for name in model.keyframes if name != HOME]
     return model.model_copy(
         update={

@@ -16,8 +16,8 @@ HOME = "home"
 _PER_EFFORT, _DAMPING_S = 2.0, 0.04
 
 
-def floor_name(names: Sequence[str], wanted: str = "floor") -> str:
-    """The name of a floor that is added to geoms with these names; or of what else is wanted."""
+def free_name(wanted: str, names: Sequence[str]) -> str:
+    """The wanted name, with a number where the names have it already."""
     return next(
         name for name in (wanted, *(f"{wanted} {n + 2}" for n in range(len(names)))) if name not in names
     )

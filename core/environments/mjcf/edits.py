@@ -14,7 +14,7 @@ from core.environments.mjcf.edit_options import (
     ModelEdits,
     Pose,
     Servo,
-    floor_name,
+    free_name,
     gains,
 )
 from core.environments.mjcf.model import name_parts
@@ -112,7 +112,7 @@ def add_floor(spec: mujoco.MjSpec) -> None:
         return
     look = _stage(spec)
     spec.worldbody.add_geom(
-        name=floor_name([geom.name for geom in spec.geoms]),
+        name=free_name("floor", [geom.name for geom in spec.geoms]),
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 0.05],
         material=look.name,
@@ -126,7 +126,7 @@ def _stage(spec: mujoco.MjSpec) -> Any:
         high, low = scene.SKY_COLOURS
         gradient = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
         spec.add_texture(
-            name=floor_name([one.name for one in spec.textures], "sky"),
+            name=free_name("sky", [one.name for one in spec.textures]),
             type=texture.mjTEXTURE_SKYBOX,
             builtin=gradient,
             rgb1=high,
@@ -137,7 +137,7 @@ def _stage(spec: mujoco.MjSpec) -> Any:
     if not list(spec.lights):
         spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 4], dir=[0, 0, -1])
     tiles = spec.add_texture(
-        name=floor_name([one.name for one in spec.textures]),
+        name=free_name("floor", [one.name for one in spec.textures]),
         type=texture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         rgb1=floor.DARK,
@@ -145,7 +145,7 @@ def _stage(spec: mujoco.MjSpec) -> Any:
         width=64,
         height=64,
     )
-    name = floor_name([one.name for one in spec.materials])
+    name = free_name("floor", [one.name for one in spec.materials])
     look = spec.add_material(name=name, texrepeat=[2, 2], texuniform=True, specular=0.1)
     look.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = tiles.name
     return look

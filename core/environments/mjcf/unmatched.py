@@ -27,8 +27,8 @@ def unmatched_by(pattern: str, names: Sequence[str], kind: str, pointer: str) ->
 
 
 def instead_of(name: str, names: Collection[str], *, is_compared: bool = True) -> str:
-    """What a model has in place of a name that it lacks, to end a sentence. is_compared: whether names that
-    are like it are sought, which takes long among many."""
+    """The end of a sentence about a name that a model lacks: the names that it has instead. is_compared:
+    whether to look for similar names, which takes long among many."""
     near = nearest(name, filter(None, names), number=3, cutoff=0.5) if is_compared else ()
     if near:
         return f"did you mean {' or '.join(map(repr, near))}?"

@@ -46,7 +46,7 @@ def actuation(action: JointAction, model: mujoco.MjModel, pose: np.ndarray) -> A
         if kind_of(model, number) != kind:
             part = parts[place] if place >= 0 else None
             raise JobFailed(Reason.BAD_MODEL, _misfit(part, model.actuator(number).name))
-    # Of joints that no part drives, the gain is of no account.
+    # The gain of a joint that no part drives is never used.
     gains = [_gain(part, model, joints) for part in parts]
     gain = np.stack(gains)[driving, np.arange(model.nu)]
     is_target = np.array([kind == "position" for kind in kinds], bool)
@@ -73,7 +73,7 @@ def _misfit(part: JointPart | None, name: str) -> str:
 
 
 def _gain(part: JointPart, model: mujoco.MjModel, joints: list[str]) -> np.ndarray:
-    """What an action of 1 adds to controls, [nu], if the part drove all joints."""
+    """The change of the controls [nu] that an action of 1 would make if the part drove all joints."""
     match part:
         case PositionPart():
             stiffness, forces = model.actuator_gainprm[:, 0], model.actuator_forcerange[:, 1]

@@ -1,4 +1,4 @@
-"""What robots observe and are paid for that walk by command: those of the catalog, and users' by a recipe."""
+"""The observations and rewards of robots that walk by command: the catalog's, and users' by a recipe."""
 
 from collections.abc import Sequence
 

@@ -103,7 +103,7 @@ def test_terms_are_searched_changed_moved_and_checked(stack: Stack, tab: Tab) ->
     expect(reward.get_by_role("button", name="Rows")).to_be_disabled()
     reward.get_by_role("button", name="Back to the default").click()
     assert "options" not in sent(page)["environment"]
-    # What an object has by default comes along with its first field that is said.
+    # The first field that somebody fills in keeps the defaults of its neighbours.
     page.get_by_label("every s", exact=True).first.fill("4")
     assert sent(page)["environment"]["options"] == {"command": {"kind": "velocity", "every_s": 4}}
 

@@ -1,4 +1,4 @@
-"""What is added to a scene; no GL is needed for that."""
+"""The arrows that are added to a scene; this needs no GL."""
 
 import mujoco
 import numpy as np
