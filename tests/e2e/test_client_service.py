@@ -297,7 +297,11 @@ def test_the_cli_brings_a_body_and_shows_what_is_in_it(stack: Stack, tmp_path: P
         added = gaitway(stack, "models", "add", str(file)).stdout
     model, _, name = added.splitlines()[0].split()
     assert name == "ball.xml"
-    engines = ("native: runs it", "mjx: does not run it: Ellipsoids", "being tried")
+    engines = (
+        "native, as it is: runs it",
+        "mjx, as it is: does not run it: Ellipsoids",
+        "being tried: warp;",
+    )
     for said in ("nu 1", "keyframes: raised", *engines, "It fell"):
         assert said in added
     assert gaitway(stack, "models", "show", model).stdout == added

@@ -60,7 +60,8 @@ def test_a_start_that_takes_long_says_why_and_a_battery_says_what_it_is(
     tab.page.clock.set_fixed_time(utc_now() + timedelta(seconds=100))
     tab.page.reload()
     expect(head).to_contain_text(
-        "compiles (started 2 min ago); the first time may take minutes, a later start of the same job is shorter…"
+        "compiles (started 2 min ago); the first time may take minutes, "
+        "a later start of the same job is shorter…"
     )
     tab.picture("job-compiles")
     testing = Progress(step=1000, total=1000, steps_per_second=10.0, phase="testing")
