@@ -28,9 +28,7 @@ def with_servos(xml: str, robot: dict) -> mujoco.MjModel:
         if joint["target"]:
             servo = spec.add_actuator(target=own.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             servo.set_to_position(kp=joint["stiffness"], kv=joint["damping"])
-            servo.gainprm[0] = (
-                joint["stiffness"] or joint["damping"] or 1.0
-            )  # Of velocities and efforts, too.
+            servo.gainprm[0] = joint["stiffness"] or joint["damping"] or 1.0  # Of velocities and efforts too.
             servo.forcerange = [-effort, effort]
     return spec.compile()
 
@@ -66,10 +64,10 @@ def drive(file: str, xml: str, command: np.ndarray) -> Iterator[tuple[mujoco.MjM
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("files", nargs=2)
-    parser.add_argument("--command", nargs=3, type=float)
-    parser.add_argument("--seconds", type=float, default=1e9)
+    parser = argparse.ArgumentParser(description=__doc__, epilog="No window: --command 0.5 0 0 --seconds 2")
+    parser.add_argument("files", nargs=2, metavar="FILE", help="the exported robot.onnx and the robot's MJCF")
+    parser.add_argument("--command", nargs=3, type=float, help="no window: m/s forward and left, rad/s")
+    parser.add_argument("--seconds", type=float, default=1e9, help="of the robot; then its place is printed")
     asked, viewer, began = parser.parse_args(), None, time.monotonic()
     command = np.array(asked.command or [0.0, 0.0, 0.0])
     for model, data in drive(*asked.files, command):

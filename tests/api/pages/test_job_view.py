@@ -195,6 +195,11 @@ def test_a_queued_job_says_why_it_waits(stack: Stack, tab: Tab, attempt: Attempt
     expect(said).to_be_visible()
     said.get_by_role("link", name="The queue").click()
     expect(page.get_by_role("heading", name="Queue")).to_be_visible()
+    # The form's stills wait for the same worker.
+    tab.open("#/submit?environment=ant")
+    stills = page.get_by_role("region", name="The body")
+    expect(stills).to_contain_text(f"It waits for the worker, which is busy with job {attempt.id}.")
+    tab.picture("submit-waits")
 
 
 @pytest.mark.extra

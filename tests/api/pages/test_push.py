@@ -20,7 +20,7 @@ from core.rendering.replay.replay import replay_of, scene_of
 from core.rendering.timeline import EpisodeMotion
 from gaitway import exported_policy
 from tests.api.conftest import Attempt, Stack, job
-from tests.api.pages.conftest import MakeTab, Tab
+from tests.api.pages.conftest import MakeTab, Tab, flaws
 from tests.extra import extra
 from tests.unit.environments.test_simulation import BODIES, of_a_user, of_the_catalog
 
@@ -293,6 +293,9 @@ def test_a_body_with_commands_goes_where_it_is_told(tab: Tab, attempt: Attempt, 
     expect(page.get_by_role("row", name="forward, m/s").get_by_role("cell").first).to_have_text("2.00")
     until(page, "x > 0.5 && Math.abs(y) < 0.05")
     tab.picture("drive")
+    # What it is told and what it does are seen beside it, without scrolling.
+    expect(page.locator(".speeds")).to_be_in_viewport(ratio=1)
+    expect(page.locator(".stage")).to_be_in_viewport(ratio=1)
     page.keyboard.up("w")
     expect(page.get_by_role("row", name="forward, m/s").get_by_role("cell").first).to_have_text("0.00")
     left = page.get_by_role("button", name="Walk left")
@@ -300,7 +303,8 @@ def test_a_body_with_commands_goes_where_it_is_told(tab: Tab, attempt: Attempt, 
     page.mouse.down()
     until(page, "y > 0.3")
     page.mouse.up()
-    assert tab.violations() == []
+    assert flaws(page) == []
+    tab.picture("drive-narrow")
 
 
 @pytest.mark.extra

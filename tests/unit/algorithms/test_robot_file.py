@@ -2,10 +2,12 @@
 
 import json
 import runpy
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from subprocess import run
 from typing import Any
 
 import jax
@@ -103,6 +105,15 @@ def test_the_example_sets_the_targets_of_the_environment(tmp_path: Path) -> None
         np.testing.assert_allclose(targets, expected, rtol=0, atol=1e-4, err_msg=f"step {number}")
         state = step(state, jnp.asarray(action))
         np.testing.assert_allclose(qpos, state.physics.qpos, rtol=0, atol=1e-3, err_msg=f"step {number}")
+
+
+def test_the_example_says_how_it_is_called() -> None:
+    pytest.importorskip("onnxruntime")
+    program = EXAMPLES / "deploy.py"
+    said = run([sys.executable, program, "--help"], capture_output=True, text=True, check=True).stdout
+    assert "No window: --command 0.5 0 0 --seconds 2" in said
+    assert all(word in said for word in ("robot.onnx", "rad/s", "arrows steer", "its place is printed"))
+    assert len(program.read_text().splitlines()) <= 80
 
 
 # Two joints, whose servos come in the other order; a third one that nothing drives.

@@ -1,6 +1,6 @@
 /** The form's part about the environment: which, its options, a user's model, and the algorithm's settings. */
 
-import { get, send } from "../../lib/api.js";
+import { everyItem, get, send } from "../../lib/api.js";
 import { ago, modelName } from "../../lib/format.js";
 import { html, useEffect, useId, useState } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
@@ -46,13 +46,22 @@ function byFamily(environments) {
 const SETTLE_MS = 600;
 const PAUSE_MS = 2000;
 
+/** A worker with a job draws after that. */
+async function whoDraws(signal) {
+  const workers = await everyItem("/workers", { signal }).catch(() => []);
+  const jobOf = ({ job, jobs }) => job || jobs[0];
+  if (!workers.length || !workers.every(jobOf)) return "A worker draws it…";
+  const who = workers.length === 1 ? `the worker, which is busy with job ${jobOf(workers[0])}` : `one of ${workers.length} workers, which are busy with jobs`;
+  return `It waits for ${who}.`;
+}
+
 /** The preview's document once the stills are drawn. tell: says meanwhile why there are none. */
 async function drawn(path, signal, tell) {
   for (;;) {
     try {
       const answer = await send(path, { signal });
       if (answer.status !== 202) return await answer.json();
-      tell("A worker draws it…");
+      tell(await whoDraws(signal));
     } catch (error) {
       if (error.status !== 503) throw error; // No worker yet, or too much to draw: that passes.
       tell(error.message);
