@@ -44,13 +44,16 @@ const REDUCTIONS = {
   reduce_sum: (a, b) => a + b,
 };
 
+// JSON has no number for these; of others, such as "nan", Number makes NaN.
+const INFINITE = { inf: Infinity, "-inf": -Infinity };
+
 /** @param {object} text The document. Raises Error for an operation that the page lacks. */
 export function readExpression({ inputs, constants, operations, outputs }) {
   for (const [name] of operations) if (!OPERATIONS[name] && !REDUCTIONS[name]) throw new Error(`The page has no operation ${name}.`);
   const known = inputs.reduce((sum, [, places]) => sum + places.length, 0);
   const size = operations.reduce((sum, [, results]) => sum + results, known + constants.length);
   const cells = new Float64Array(size);
-  cells.set(constants.map(Number), known);
+  cells.set(constants.map((one) => INFINITE[one] ?? Number(one)), known);
 
   /** @param {(name: string) => ArrayLike<number>} read The input. Returns the outputs by name. */
   const evaluate = (read) => {
