@@ -74,9 +74,12 @@ class MujocoEnv(ABC):
         """The data with which a program steps this body by MuJoCo alone. Raises NotSimulated."""
         raise NotSimulated("its model is made for each training")
 
-    def told(self, command: jax.Array | None) -> Self:
-        """The environment without chance within its episodes, under this command [n] if it follows any."""
-        del command
+    def told(self, command: jax.Array | None, ground: jax.Array | None = None) -> Self:
+        """The environment without chance within its episodes, under this command [n] if it follows any.
+
+        ground: of a body on a terrain, see `TerrainGrid.given`; None: that of each episode.
+        """
+        del command, ground
         return copy.copy(self)
 
     def stepped(

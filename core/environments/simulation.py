@@ -21,6 +21,7 @@ from core.environments.simulated_model import NotSimulated, as_xml
 from core.environments.terms.commands import CommandRange
 from core.environments.tracing import expressed
 from core.physics.engine import DERIVED_FIELDS, NOMINAL, ModelFields, PhysicsState
+from core.physics.model import GEOMETRY, with_loose_frames
 
 if TYPE_CHECKING:
     from core.environments.mujoco_env import MujocoEnv
@@ -41,15 +42,42 @@ class Start:
 
 
 @dataclass(frozen=True)
+class SimulatedLayout:
+    """One ground of a terrain. lift: the height of the ground at the start, which `starts` do not have, in m.
+    model: the rows of the terrain's boxes in fields of MjModel. ground: what expressions read of it."""
+
+    kind: str
+    level: int
+    lift: float
+    model: Mapping[str, Sequence[float]]
+    ground: Sequence[float]
+
+
+@dataclass(frozen=True)
+class SimulatedTerrain:
+    """The grounds on which an episode may be.
+
+    geoms: the numbers of the boxes in the simulation's model, and nodes: in a replay's scene. root_height:
+    the place in `qpos` of what is lifted.
+    """
+
+    geoms: Sequence[int]
+    nodes: Sequence[int]
+    root_height: int
+    layouts: Sequence[SimulatedLayout]
+
+
+@dataclass(frozen=True)
 class Simulation:
     """A body, ready to be stepped.
 
     model: XML, with the solver settings of the engine that trained. num_substeps: its time steps for one step
-    of the environment. command: empty where the body follows none. begin, control, step: what the environment
-    computes at an episode's start, before the physics of a step, and after it. Their inputs: `before.` and
-    `after.` with the name of a field of MjData, before and after the physics of the step; `state.` with the
-    name of what is carried from step to step; `action`; `command`. Their outputs: `observation`, `control`,
-    `ended` (1 where the episode ends), and what is carried on.
+    of the environment. command: empty where the body follows none. terrain: None where the ground is the
+    model's own. begin, control, step: what the environment computes at an episode's start, before the physics
+    of a step, and after it. Their inputs: `before.` and `after.` with the name of a field of MjData, before
+    and after the physics of the step; `state.` with the name of what is carried from step to step; `action`;
+    `command`; `ground`. Their outputs: `observation`, `control`, `ended` (1 where the episode ends), and what
+    is carried on.
     """
 
     model: str
@@ -60,6 +88,7 @@ class Simulation:
     control: Expression
     step: Expression
     command: Sequence[CommandRange] = ()
+    terrain: SimulatedTerrain | None = None
 
     def document(self) -> dict[str, Any]:
         """As JSON, with numbers that are plain Python's."""
@@ -72,23 +101,33 @@ class Simulation:
             "tracked_body": self.tracked_body,
             "starts": [asdict(start) for start in self.starts],
             "command": [asdict(one) for one in self.command],
+            "terrain": None if self.terrain is None else asdict(self.terrain),
             **{name: getattr(self, name).document() for name in ("begin", "control", "step")},
         }
 
 
 def simulation_of(
-    environment: "MujocoEnv", spec: mujoco.MjSpec, command: Sequence[CommandRange] = ()
+    environment: "MujocoEnv",
+    spec: mujoco.MjSpec,
+    command: Sequence[CommandRange] = (),
+    ground_size: int = 0,
 ) -> Simulation:
-    """The simulation of an environment, whose model is of this spec. Raises NotSimulated."""
-    model = as_xml(spec, environment.engine.model)
+    """The simulation of an environment, whose model is of this spec. Raises NotSimulated.
+
+    ground_size: how many numbers `MujocoEnv.told` takes of a ground; 0 where that is the model's own.
+    """
+    stepped = environment.engine.model
+    if ground_size:
+        stepped = with_loose_frames(stepped, GEOMETRY)
+    model, told = as_xml(spec, stepped), _told(len(command), ground_size)
     try:
-        begin, step = _begun(environment, len(command)), _stepped(environment, len(command))
+        begin, step = _begun(environment, told), _stepped(environment, told)
         carried = [f"state.{name}" for name in _carried(step)]
-        parts = {
-            "begin": begin.only(["observation", *carried]),
-            "control": step.only(["control"]),
-            "step": step.only(["observation", "ended", *carried]),
-        }
+        begin, control, step = (
+            begin.only(["observation", *carried]),
+            step.only(["control"]),
+            step.only(["observation", "ended", *carried]),
+        )
     except NotExpressed as error:
         raise NotSimulated(f"{error}, which the page lacks") from None
     return Simulation(
@@ -96,8 +135,10 @@ def simulation_of(
         num_substeps=round(environment.dt / environment.model.opt.timestep),
         tracked_body=environment.tracked_body,
         starts=[*_starts(environment)],
+        begin=begin,
+        control=control,
+        step=step,
         command=command,
-        **parts,
     )
 
 
@@ -147,21 +188,21 @@ class _Start(_Boundary):
 
 
 def _around(environment: "MujocoEnv", engine: _Boundary, given: _Arrays) -> "MujocoEnv":
-    """The environment without chance, under the command that is given."""
-    there = environment.told(given.get("command"))
+    """The environment without chance, under the command and on the ground that are given."""
+    there = environment.told(given.get("command"), given.get("ground"))
     there.engine = engine
     return there
 
 
-def _begun(environment: "MujocoEnv", command_size: int) -> Expression:
+def _begun(environment: "MujocoEnv", told: Mapping[str, jax.ShapeDtypeStruct]) -> Expression:
     def begin(given: _Arrays) -> _Arrays:
         engine = _Boundary(environment.engine.model, _physics(given, "after."))
         return _outputs(_around(environment, engine, given).reset(jax.random.key(0)))
 
-    return expressed(begin, {**_fields(environment.model, "after."), **_command(command_size)})
+    return expressed(begin, {**_fields(environment.model, "after."), **told})
 
 
-def _stepped(environment: "MujocoEnv", command_size: int) -> Expression:
+def _stepped(environment: "MujocoEnv", told: Mapping[str, jax.ShapeDtypeStruct]) -> Expression:
     def step(given: _Arrays) -> _Arrays:
         engine = _Boundary(environment.engine.model, _physics(given, "after."))
         there = _around(environment, engine, given)
@@ -177,7 +218,7 @@ def _stepped(environment: "MujocoEnv", command_size: int) -> Expression:
             **_fields(environment.model, "before."),
             **_fields(environment.model, "after."),
             **{f"state.{name}": jax.ShapeDtypeStruct(info[name].shape, info[name].dtype) for name in carried},
-            **_command(command_size),
+            **told,
             "action": jax.ShapeDtypeStruct((environment.action_size,), jnp.float32),
         },
     )
@@ -216,8 +257,9 @@ def _physics(given: _Arrays, prefix: str) -> PhysicsState:
     return PhysicsState(**own, derived={name: given[f"{prefix}{name}"] for name in DERIVED_FIELDS})
 
 
-def _command(size: int) -> dict[str, jax.ShapeDtypeStruct]:
-    return {"command": jax.ShapeDtypeStruct((size,), jnp.float32)} if size else {}
+def _told(command_size: int, ground_size: int) -> dict[str, jax.ShapeDtypeStruct]:
+    sizes = {"command": command_size, "ground": ground_size}
+    return {name: jax.ShapeDtypeStruct((size,), jnp.float32) for name, size in sizes.items() if size}
 
 
 def _outputs(state: State) -> dict[str, Any]:

@@ -348,17 +348,24 @@ class TaskEnv(MujocoEnv):
         command = self._options.command
         if command is not None and not isinstance(command, VelocityCommand):
             raise NotSimulated("it is told points, and the page tells velocities")
-        if self._grid is not None:
-            raise NotSimulated("each episode has another terrain")
-        return simulation_of(self, self._spec, () if command is None else command.ranges)
+        ranges = () if command is None else command.ranges
+        if self._grid is None:
+            return simulation_of(self, self._spec, ranges)
+        there = copy.copy(self)
+        there._grid = self._grid.given(jnp.zeros(self._grid.ground_size))
+        simulation = simulation_of(there, self._spec, ranges, self._grid.ground_size)
+        terrain = self._grid.simulated(simulation.model, self._parts.root_position + 2)
+        return replace(simulation, terrain=terrain)
 
     def deployment(self) -> Deployment:
         """The task as a robot runs it. Raises NotDeployed."""
         parts = parts_of(self._options, self._inventory)
         return deployment(self._options, self._parts, parts, self._actuation)
 
-    def told(self, command: jax.Array | None) -> Self:
+    def told(self, command: jax.Array | None, ground: jax.Array | None = None) -> Self:
         there = copy.copy(self)
+        if self._grid is not None and ground is not None:
+            there._grid = self._grid.given(ground)
         there._options = self._options.model_copy(update={"events": []})
         there._has_chance, there._command = False, command
         return there

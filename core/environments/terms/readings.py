@@ -34,20 +34,7 @@ class ContactForce:
         return f"{_PREFIX}force:{self.body}"
 
 
-@dataclass(frozen=True)
-class ContactNetForce:
-    """The sum of the forces on a body's own geoms in the last physics step, along the world's axes, [3] in N:
-    up to their sign."""
-
-    body: str
-
-    @property
-    def sensor(self) -> str:
-        """The name of its sensor."""
-        return f"{_PREFIX}net_force:{self.body}"
-
-
-Reading = ContactCount | ContactForce | ContactNetForce
+Reading = ContactCount | ContactForce
 
 
 def is_added(sensor: str) -> bool:

@@ -1,5 +1,6 @@
 """The terrain of each episode: a cell of a grid of kinds and levels, and which cell follows it."""
 
+import copy
 from collections.abc import Mapping
 
 import jax
@@ -8,6 +9,7 @@ import mujoco
 import numpy as np
 
 from core.environments.environment import State
+from core.environments.simulation import SimulatedLayout, SimulatedTerrain
 from core.environments.terms.terrain import Ground, Terrain
 from core.environments.terrain.layouts import NUM_VARIANTS, REACH, draw_layouts
 from core.environments.terrain.model import boxes_of, floor_of
@@ -27,13 +29,14 @@ class TerrainGrid:
     def __init__(self, terrain: Terrain, model: mujoco.MjModel, centre: np.ndarray) -> None:
         self._layouts = draw_layouts(terrain)
         self._boxes = boxes_of(model)
+        self._given: Ground | None = None
         self._nominal = {
             name: jnp.asarray(getattr(model, name), jnp.float32)
             for name in ("geom_aabb", "geom_pos", "geom_quat", "geom_rbound", "geom_size")
         }
         floor = floor_of(model)
         self._origin = np.array([*centre, model.geom_pos[floor, 2]], np.float32)
-        self._low, self._num_levels = terrain.levels[0], terrain.num_levels
+        self._kinds, self._low, self._num_levels = terrain.kinds, terrain.levels[0], terrain.num_levels
         self.num_cells = len(terrain.kinds) * terrain.num_levels
         self.has_curriculum = terrain.has_curriculum
 
@@ -42,6 +45,8 @@ class TerrainGrid:
 
         cell: kind × levels + level, [] int32; None: any.
         """
+        if self._given is not None:
+            return {}, jnp.zeros((), jnp.int32), jnp.zeros(())
         cell_key, variant_key = jax.random.split(key)
         if cell is None:
             cell = jax.random.randint(cell_key, (), 0, self.num_cells)
@@ -51,21 +56,69 @@ class TerrainGrid:
     def _fields(self, layout: jax.Array) -> ModelFields:
         if not self._boxes.size:
             return {}
-        layouts, boxes = self._layouts, self._boxes
+        rows = self._rows(layout)
+        return {name: self._nominal[name].at[self._boxes].set(values) for name, values in rows.items()}
+
+    def _rows(self, layout: jax.Array) -> ModelFields:
+        """The fields of the boxes alone."""
+        layouts = self._layouts
         sizes = jnp.asarray(layouts.sizes)[layout]
-        own = {
+        return {
             "geom_pos": jnp.asarray(layouts.places + self._origin)[layout],
             "geom_size": sizes,
             "geom_rbound": jnp.linalg.norm(sizes, axis=-1),
             "geom_aabb": jnp.concatenate([jnp.zeros_like(sizes), sizes], axis=-1),
             "geom_quat": jnp.asarray(layouts.quaternions)[layout],
         }
-        return {name: self._nominal[name].at[boxes].set(values) for name, values in own.items()}
 
     def ground(self, info: Mapping[str, jax.Array]) -> Ground:
+        return self._ground(info[LAYOUT]) if self._given is None else self._given
+
+    def _ground(self, layout: jax.Array) -> Ground:
         x, y, floor = self._origin
         tops = jnp.asarray(self._layouts.tops + np.array([x, y, 0, 0, floor, 0], np.float32))
-        return Ground(tops[info[LAYOUT]], jnp.asarray(self._layouts.lowest + floor)[info[LAYOUT]])
+        return Ground(tops[layout], jnp.asarray(self._layouts.lowest + floor)[layout])
+
+    @property
+    def ground_size(self) -> int:
+        return 6 * len(self._boxes) + 1
+
+    def given(self, ground: jax.Array) -> "TerrainGrid":
+        """The terrain on which an episode has this ground, the model as it is, and the start at the floor's
+        height.
+
+        ground: [ground_size], the boxes' rows of `Ground.tops`, and `Ground.lowest`.
+        """
+        x, y, floor = self._origin
+        there = copy.copy(self)
+        plane = jnp.array([[x, y, jnp.inf, jnp.inf, floor, 0.0]], jnp.float32)
+        there._given = Ground(jnp.concatenate([ground[:-1].reshape(-1, 6), plane]), ground[-1])
+        return there
+
+    def simulated(self, model: str, root_height: int) -> SimulatedTerrain:
+        """The first variant of each kind and level. model: XML that has the boxes. root_height: see there."""
+        cells = [(kind, self._low + level) for kind in self._kinds for level in range(self._num_levels)]
+        # Beside a training that holds the accelerator.
+        with jax.default_device(jax.local_devices(backend="cpu")[0]):
+            layouts = NUM_VARIANTS * jnp.arange(len(cells))
+            fields = {name: _numbers(rows) for name, rows in self._rows(layouts).items()}
+            tops, lowest = self._ground(layouts)
+            grounds = _numbers(jnp.concatenate([tops[:, :-1].reshape(len(cells), -1), lowest[:, None]], 1))
+        return SimulatedTerrain(
+            geoms=boxes_of(mujoco.MjModel.from_xml_string(model)).tolist(),
+            nodes=self._boxes.tolist(),
+            root_height=root_height,
+            layouts=[
+                SimulatedLayout(
+                    kind,
+                    level,
+                    float(self._layouts.lift[cell * NUM_VARIANTS]),
+                    {name: rows[cell] for name, rows in fields.items()},
+                    grounds[cell],
+                )
+                for cell, (kind, level) in enumerate(cells)
+            ],
+        )
 
     def metrics(self, info: Mapping[str, jax.Array]) -> dict[str, jax.Array]:
         """The level of the episode, and for each level whether it is that one: their means are shares."""
@@ -101,3 +154,8 @@ class TerrainGrid:
         level = level + is_up.astype(jnp.int32) - is_down.astype(jnp.int32)
         level = jnp.where(level >= self._num_levels, any_level % self._num_levels, jnp.maximum(level, 0))
         return kind * self._num_levels + level
+
+
+def _numbers(values: jax.Array) -> list[list[float]]:
+    """Those of each layout in a row, to a µm."""
+    return np.round(np.asarray(values, float), 6).reshape(len(values), -1).tolist()

@@ -93,6 +93,11 @@ def files_of(ant: MujocoEnv, policy: bytes) -> dict[str, tuple[str, bytes]]:
     }
 
 
+# One ground, so that the page begins on it.
+STAIRS: dict[str, Any] = {
+    "terrain": {"kinds": ["stairs_down"], "levels": [4, 4]},
+    "observation": [{"kind": "height_scan"}, {"kind": "foot_height"}, {"kind": "joint_positions"}],
+}
 CASES: list[tuple[str, dict[str, Any]]] = [
     *((body, {}) for body in BODIES),
     ("rodent", {}),
@@ -100,6 +105,7 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     ("corridor", {"walker": "rodent", "arena": "walls", "num_next_obstacles": 10, "start_x": 2.0}),
     ("g1", {}),
     ("go1", {}),
+    ("go1", STAIRS),
 ]
 
 
@@ -305,6 +311,34 @@ def test_a_body_with_commands_goes_where_it_is_told(tab: Tab, attempt: Attempt, 
     page.mouse.up()
     assert flaws(page) == []
     tab.picture("drive-narrow")
+
+
+@pytest.mark.extra
+def test_a_robot_stands_on_the_ground_that_is_chosen(make_tab: MakeTab, attempt: Attempt) -> None:
+    go1 = of_the_catalog("go1", {"terrain": {"kinds": ["flat", "stairs_down", "slope_down"]}})
+    keep(attempt, files_of(go1, policy_of(go1, 0.0)))
+    attempt.end(JobStatus.SUCCEEDED)
+    tab = make_tab(1280, False)
+    page = tab.open(f"#/jobs/{attempt.id}/push")
+    ground, level = page.get_by_label("Ground"), page.get_by_label("Level")
+    expect(page.get_by_text("Steer it with W A S D, Q and E")).to_be_visible(timeout=60_000)
+    assert (ground.input_value(), level.input_value()) == ("stairs_down", "4")
+    page.get_by_role("button", name="Play").click()
+    # Its untrained legs carry it for 2 s. Five stairs of 7.8 or 15 cm; 20 degrees over 2.25 m.
+    stands = "time > 0.5 && time < 1.5 && Math.abs(z - {} - 0.25) < 0.03"
+    until(page, stands.format(0.389))
+    tab.picture("drive-stairs")
+    level.select_option("9")
+    expect(page.get_by_role("group", name="The trained body")).to_be_focused()
+    until(page, stands.format(0.75))
+    tab.picture("drive-stairs-steep")
+    ground.select_option("slope_down")
+    until(page, stands.format(0.819))
+    tab.picture("drive-slope")
+    ground.select_option("flat")
+    until(page, stands.format(0.0))
+    tab.picture("drive-flat")
+    assert tab.violations() == []
 
 
 @pytest.mark.extra

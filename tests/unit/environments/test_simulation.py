@@ -15,6 +15,7 @@ from core.environments import catalog
 from core.environments.mujoco_env import MujocoEnv
 from core.environments.simulated_model import NotSimulated, as_xml
 from core.environments.simulation import Simulation
+from core.environments.terrain.layouts import NUM_VARIANTS
 from core.physics.choose import engine_builder
 from core.physics.engine import DERIVED_FIELDS
 from tests.extra import extra
@@ -73,9 +74,15 @@ def of_a_user(folder: Path, text: str = CART, **options: Any) -> MujocoEnv:
 class Stepped:
     """MuJoCo alone under a simulation, as docs/push.md describes it."""
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(self, simulation: Simulation, layout: int = 0) -> None:
         self.simulation = simulation
         self.model = mujoco.MjModel.from_xml_string(simulation.model)
+        self.ground: Any = ()
+        if (terrain := simulation.terrain) is not None:
+            for name, rows in terrain.layouts[layout].model.items():
+                field = getattr(self.model, name)
+                field[terrain.geoms] = np.reshape(rows, field[terrain.geoms].shape)
+            self.ground = terrain.layouts[layout].ground
         self.data = mujoco.MjData(self.model)
         self.carried: dict[str, Any] = {}
 
@@ -84,7 +91,8 @@ class Stepped:
         mujoco.mj_resetData(self.model, self.data)
         self.place(physics)
         mujoco.mj_forward(self.model, self.data)
-        return self._after(self.simulation.begin({**self._fields("after"), "command": command}))
+        given = {**self._fields("after"), "command": command, "ground": self.ground}
+        return self._after(self.simulation.begin(given))
 
     def place(self, physics: Any) -> None:
         for name in ("qpos", "qvel", "act", "qacc_warmstart"):
@@ -93,7 +101,8 @@ class Stepped:
     def step(self, action: Any, command: Any = ()) -> tuple[NDArray[np.float64], bool]:
         """The observation, and whether the episode ends."""
         carried = {f"state.{name}": value for name, value in self.carried.items()}
-        given = {**self._fields("before"), **carried, "action": action, "command": command}
+        told = {"action": action, "command": command, "ground": self.ground}
+        given = {**self._fields("before"), **carried, **told}
         self.data.ctrl[:] = self.simulation.control(given)["control"]
         mujoco.mj_step(self.model, self.data, self.simulation.num_substeps)
         for stage in (
@@ -128,7 +137,8 @@ def check(environment: MujocoEnv, command: Any = ()) -> None:
     actions = jax.random.uniform(
         jax.random.key(1), (NUM_STEPS, NUM_ENVS, environment.action_size), minval=-1, maxval=1
     )
-    bodies = [Stepped(simulation) for _ in range(NUM_ENVS)]
+    layouts = state.info.get("terrain", np.zeros(NUM_ENVS, int)) // NUM_VARIANTS
+    bodies = [Stepped(simulation, int(layout)) for layout in layouts]
     for one, body in enumerate(bodies):
         seen = body.begin(jax.tree.map(lambda values, one=one: values[one], state.physics), command)
         np.testing.assert_allclose(seen, state.obs[one], rtol=1e-3, atol=1e-3)
@@ -152,6 +162,19 @@ def test_a_simulation_gives_the_bodys_observation(body: str) -> None:
 @pytest.mark.parametrize("robot", ["g1", "go1"])
 def test_a_robots_simulation_is_told_what_to_do(robot: str) -> None:
     check(of_the_catalog(robot), [0.5, -0.2, 0.7])
+
+
+# Of these kinds all variants are alike, and a simulation has the first.
+STEPS: dict[str, Any] = {
+    "terrain": {"kinds": ["stairs_down", "slope_up", "pits"], "levels": [3, 5]},
+    "observation": [{"kind": "height_scan"}, {"kind": "foot_height"}, {"kind": "base_linear_velocity"}],
+}
+
+
+@pytest.mark.extra
+def test_a_robots_simulation_has_the_ground_that_it_walks_on() -> None:
+    go1 = of_the_catalog("go1", STEPS)
+    check(go1, [0.5, -0.2, 0.7])
 
 
 @pytest.mark.extra

@@ -43,8 +43,8 @@ export class LiveMotion {
   tendons = () => 0;
 }
 
-/** An episode for the stage that has no numbers but those of the moment. */
-export const episodeOf = (motion) => ({ motion, parts: [], contact_count: [], time: [0], return: [0] });
+/** An episode for the stage that has no numbers but those of the moment. parts: as in a replay's header. */
+export const episodeOf = (motion, parts) => ({ motion, parts, contact_count: [], time: [0], return: [0] });
 
 /**
  * Starts the worker. hear: called with what it says; fail: with an Error.

@@ -1,5 +1,6 @@
 /** A body under its policy, stepped by MuJoCo as `simulation.json` says (docs/push.md). Uses nothing of the page. */
 
+import { firstLayout } from "./terrain.js";
 import { Task } from "./task.js";
 
 // Of the spring that pulls a body, as in MuJoCo's own viewer: for each kg that the body has where it is held.
@@ -23,7 +24,18 @@ export class Simulation {
     this.weight = this.mass * Math.hypot(...this.model.opt.gravity);
     this.task = new Task(recipe, this.data);
     this.command = (recipe.command || []).map(() => 0);
+    if (recipe.terrain) this.setLayout(firstLayout(recipe.terrain));
     this.reset();
+  }
+
+  /** Put this one of `recipe.terrain.layouts` about the start; an episode has to begin afterwards. */
+  setLayout(number) {
+    const { geoms, layouts } = this.recipe.terrain;
+    for (const [name, rows] of Object.entries(layouts[number].model)) {
+      const width = rows.length / geoms.length;
+      geoms.forEach((geom, row) => this.model[name].set(rows.slice(row * width, (row + 1) * width), geom * width));
+    }
+    this.task.setLayout(layouts[number]);
   }
 
   get time() {

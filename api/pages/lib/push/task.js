@@ -11,13 +11,20 @@ export class Task {
     this.kept = [...new Set(Object.values(this.parts).flatMap(({ inputs }) => inputs))].filter((name) => name.startsWith("before."));
     this.before = {};
     this.carried = {};
+    this.layout = null;
+  }
+
+  /** From the next start on, the ground is this one of `recipe.terrain.layouts`. */
+  setLayout(layout) {
+    this.layout = layout;
   }
 
   /** Put the body where an episode begins. random: a number in [0, 1). */
   place(random) {
-    const { starts } = this.recipe;
+    const { starts, terrain } = this.recipe;
     const start = starts[Math.floor(random() * starts.length)];
     for (const [name, values] of Object.entries(start)) if (values.length) this.data[name].set(values);
+    if (this.layout) this.data.qpos[terrain.root_height] += this.layout.lift;
   }
 
   /** @returns {number[]} The observation at an episode's start. */
@@ -42,7 +49,7 @@ export class Task {
     return part === "begin" ? observation : { observation, ended: ended[0] !== 0 };
   }
 
-  #reader = (given) => (name) => given[name] ?? this.carried[name] ?? this.before[name] ?? this.#field(name);
+  #reader = (given) => (name) => given[name] ?? this.carried[name] ?? this.before[name] ?? this.layout?.[name] ?? this.#field(name);
 
   /** Of MuJoCo's data; `time` is one number. */
   #field(name) {

@@ -2,8 +2,8 @@
  * Steps a body in real time, beside the page: MuJoCo's WebAssembly is allowed by this file's own
  * Content-Security-Policy alone.
  *
- * It hears {open: {recipe, policy}}, then {policy} in its place, {pull}, {command: numbers}, {reset: true}, {run: boolean}. It says
- * {failure}, or after each picture's time {time, positions, rotations, force, weight, motion, command, isSlow}; {fell: seconds} once an
+ * It hears {open: {recipe, policy}}, then {policy} in its place, {pull}, {command: numbers}, {layout: number}, {reset: true}, {run: boolean}.
+ * It says {failure}, or after each picture's time {time, positions, rotations, force, weight, motion, command, isSlow}; {fell: seconds} once an
  * episode has ended; and {trainedSteps} of the policy that acts.
  */
 
@@ -75,6 +75,7 @@ onmessage = async ({ data: said }) => {
     }
     if (said.pull !== undefined) simulation.setPull(said.pull);
     if (said.command) simulation?.setCommand(said.command);
+    if (said.layout !== undefined) simulation.setLayout(said.layout);
     if (said.reset) reset();
     if (said.run !== undefined) {
       isRunning = said.run;

@@ -34,17 +34,22 @@ export class Figure {
     this.tracked = about.bodies.indexOf(about.tracked_body);
     this.endless = [];
     this.root.traverse((node) => node.userData.endless && this.endless.push(node));
-    for (const { node, translation, rotation, scale } of episode.parts) {
-      const found = this.root.getObjectByName(node);
-      found?.position.fromArray(translation);
-      found?.scale.fromArray(scale);
-      if (rotation) found?.quaternion.fromArray(rotation);
-    }
+    this.move(episode.parts);
     if (!isFirst && !episode.parts.length) this.#hideSurroundings();
     const { radius } = about.view;
     this.contacts = this.#add(new CylinderGeometry(0.07 * radius, 0.07 * radius, 0.015 * radius, 16), CONTACT, most(episode.contact_count));
     this.tendons = this.#add(new CylinderGeometry(1, 1, 1, 8), 0xffffff, most(episode.tendon_count || []));
     this.target = about.target_body === null ? this.#mark(0.07 * radius, episode) : this.root.getObjectByName(`body_${about.target_body}`);
+  }
+
+  /** Put parts of the scene elsewhere. parts: as in a replay's header. */
+  move(parts) {
+    for (const { node, translation, rotation, scale } of parts) {
+      const found = this.root.getObjectByName(node);
+      found?.position.fromArray(translation);
+      found?.scale.fromArray(scale);
+      if (rotation) found?.quaternion.fromArray(rotation);
+    }
   }
 
   /** Show what the tracked body is told and what it does. */

@@ -2,6 +2,7 @@
 
 import { count } from "../../lib/format.js";
 import { html, useEffect, useRef, useState } from "../../lib/html.js";
+import { GroundChoice } from "./ground_choice.js";
 import { Speeds } from "./speeds.js";
 
 const PUSH_MS = 200;
@@ -22,7 +23,7 @@ const PAD = [
 const isStill = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 /**
- * @param {object} modules Stage, Handle, LiveMotion, Steering, KEYS of steering, episodeOf, startPhysics.
+ * @param {object} modules Stage, Handle, LiveMotion, Steering, KEYS of steering, episodeOf, startPhysics, firstLayout, partsOf.
  * @param {object} shown scene, about (a replay's header), recipe.
  * @param {ArrayBuffer} policy The one that acts; another takes its place while the body moves.
  * @param {boolean} isTraining Whether newer policies may come.
@@ -40,6 +41,8 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
   const ranges = shown.recipe.command || [];
   const isSteered = ranges.length > 0;
   const [speeds, setSpeeds] = useState(null);
+  const { terrain } = shown.recipe;
+  const [layout, setLayout] = useState(terrain ? modules.firstLayout(terrain) : null);
 
   useEffect(() => {
     const { about, recipe } = shown;
@@ -61,7 +64,7 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
     const begin = (said) => {
       motion.take(said);
       const { stage } = parts.current;
-      stage.setEpisodes(shown.scene, about, [modules.episodeOf(motion)], false);
+      stage.setEpisodes(shown.scene, about, [modules.episodeOf(motion, terrain ? modules.partsOf(terrain, layout) : [])], false);
       parts.current.handle = new modules.Handle(stage, (pull) => parts.current.physics.say({ pull }));
       setPhase("ready");
       // So that keys steer at once, unless somebody is elsewhere on the page already.
@@ -137,6 +140,13 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
     parts.current.release = setTimeout(() => say({ pull: null }), PUSH_MS);
   };
   const restart = () => (say({ reset: true }), setStory("It starts again."));
+  const choose = (number) => {
+    setLayout(number);
+    parts.current.stage.figures[0].move(modules.partsOf(terrain, number));
+    say({ layout: number, reset: true });
+    setStory("It starts on this ground.");
+    canvas.current.parentElement.focus({ preventScroll: true }); // So that keys steer again.
+  };
   const press = (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     // A control in focus keeps the keys that it knows; letters steer from everywhere else.
@@ -172,6 +182,7 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
           ${STRENGTHS.map((one) => html`<option value=${one}>${one} × its weight</option>`)}
         </select>
       </label>
+      ${terrain && html`<${GroundChoice} layouts=${terrain.layouts} chosen=${layout} isReady=${phase === "ready"} choose=${choose} />`}
       <button type="button" disabled=${phase !== "ready"} onClick=${restart}>Start again</button>
       <button type="button" onClick=${() => parts.current.stage?.resetView()}>Reset the view</button>
     </div>

@@ -38,15 +38,16 @@ async function loadBody(job, signal) {
   const replay = replaysOf(job).at(-1);
   if (!replay || !policyOf(job)) return { refusal: whyNotYet(job) };
   // three.js and what uses it are loaded here; MuJoCo by the worker.
-  const [{ Stage }, { loadScene, openReplay }, { Handle }, physics, steering] = await Promise.all([
+  const [{ Stage }, { loadScene, openReplay }, { Handle }, physics, steering, terrain] = await Promise.all([
     import("../../lib/replay/stage.js"),
     import("../../lib/replay/fetching.js"),
     import("../../lib/push/handle.js"),
     import("../../lib/push/body.js"),
     import("../../lib/push/steering.js"),
+    import("../../lib/push/terrain.js"),
   ]);
   const [scene, { about }] = await Promise.all([loadScene(`/jobs/${job.id}/replay/scene`), openReplay(replay.href, signal)]);
-  return { modules: { Stage, Handle, ...physics, ...steering }, shown: { scene, about, recipe } };
+  return { modules: { Stage, Handle, ...physics, ...steering, ...terrain }, shown: { scene, about, recipe } };
 }
 
 /** Of a job that lacks its replay, which has the body's looks, or its policy for the page. */

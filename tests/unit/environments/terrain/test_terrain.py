@@ -15,7 +15,6 @@ from core.environments.mjcf.check import problems
 from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.edit_options import ModelEdits
 from core.environments.mjcf.info import MjcfOptions
-from core.environments.simulated_model import NotSimulated
 from core.environments.task import TaskEnv
 from core.environments.terms.describe import inventory
 from core.environments.terrain.layouts import NUM_VARIANTS
@@ -23,6 +22,7 @@ from core.environments.wrappers.terrain_levels import cells_of_pool, chosen_star
 from core.errors import Rejected
 from tests.unit.environments.mjcf.probe import KEY, MODEL, XML, build
 from tests.unit.environments.mjcf.test_environment import NO_TORQUE, moving
+from tests.unit.environments.test_simulation import check
 
 HARD: dict[str, Any] = {"levels": [9, 9], "curriculum": False}
 
@@ -138,9 +138,30 @@ def test_environments_begin_at_any_of_the_lower_levels(tmp_path: Path) -> None:
     assert set(cells.tolist()) == {0, 1, 3, 4}
 
 
-def test_a_terrain_is_not_simulated_elsewhere(tmp_path: Path) -> None:
-    with pytest.raises(NotSimulated, match="another terrain"):
-        on(tmp_path, "gaps").simulation()
+def test_a_simulation_has_each_level_of_each_kind(tmp_path: Path) -> None:
+    xml = XML.replace(b'gravity="0 0 0"', b'gravity="0 0 -9.81"')
+    environment = build(
+        tmp_path,
+        xml=xml,
+        terrain={"kinds": ["flat", "stairs_down"], "levels": [8, 9]},
+        # It begins 2 cm above the platform, which is 0.75 m from the start at most, or beside it.
+        reset={"qpos": [0, 0, 0.12, 1, 0, 0, 0, 0], "pose": {"x": [-1.4, 1.4], "y": [-0.5, 0.5]}},
+        observation=[{"kind": "height_scan"}, {"kind": "qpos"}, {"kind": "qvel"}],
+        termination=[{"kind": "height_range", "range": [0.0, 0.3]}],
+    )
+    assert isinstance(environment, TaskEnv)
+    check(environment)
+    terrain = environment.simulation().terrain
+    assert terrain is not None
+    # The ground of stairs of 2 to 15 cm is five of them high.
+    assert [(one.kind, one.level, pytest.approx(one.lift)) for one in terrain.layouts] == [
+        ("flat", 8, 0.0),
+        ("flat", 9, 0.0),
+        ("stairs_down", 8, 5 * (0.02 + 0.13 * 8 / 9)),
+        ("stairs_down", 9, 0.75),
+    ]
+    heights = [start.qpos[2] for start in environment.simulation().starts]
+    assert heights == pytest.approx([0.12] * len(heights), abs=0.011)  # Less or more the noise.
 
 
 @pytest.mark.parametrize(
