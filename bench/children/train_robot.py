@@ -11,11 +11,13 @@ from typing import Any
 
 from bench.child import answer
 from bench.children.train_ours import engine_of, keep_compiled
+from core.start_up import start_lean
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """built_at, policy_at, tested_at: the hours when the environment was built, the policy was trained, and
     the battery was over. training: [[steps, seconds of training until then], …]; steps; engine; battery."""
+    start_lean()  # As a job does.
     from core.algorithms.battery.run import Battery
     from core.algorithms.battery.spec import BatterySpec
     from core.algorithms.events import Phase, TrainingProgress

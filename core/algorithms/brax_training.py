@@ -5,9 +5,6 @@ time, for nothing that training needs. The package's own names are loaded when o
 The running statistics of observations, which centre and scale what a network sees, are Brax's, too.
 """
 
-import importlib
-import importlib.util
-import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -16,27 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from core.environments.environment import ObservationSize
-
-
-def put_off(name: str) -> None:
-    """Make a package's modules importable without running its `__init__`, until a name of its own is used."""
-    spec = importlib.util.find_spec(name) if name not in sys.modules else None
-    if spec is None or spec.loader is None:
-        return
-    package, loader = importlib.util.module_from_spec(spec), spec.loader
-
-    def load(wanted: str) -> Any:
-        if wanted.startswith("__"):  # Python looks for some that a package may lack
-            raise AttributeError(wanted)
-        if importlib.util.find_spec(f"{name}.{wanted}") is not None:
-            return importlib.import_module(f"{name}.{wanted}")
-        if package.__dict__.pop("__getattr__", None) is not None:
-            loader.exec_module(package)
-        return getattr(package, wanted)
-
-    package.__dict__["__getattr__"] = load
-    sys.modules[name] = package
-
+from core.start_up import put_off
 
 put_off("brax")
 

@@ -170,6 +170,6 @@ def _fingerprint(model: mujoco.MjModel, num_substeps: int, derived: tuple[str, .
     """Equal for engines that do the same, in any process."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
-    digest = hashlib.sha256(content.tobytes())
+    digest = hashlib.sha256(content.data)
     digest.update(f"{num_substeps} {derived}".encode())
     return digest.hexdigest()

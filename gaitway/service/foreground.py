@@ -22,6 +22,7 @@ from core.environments.terms.describe import inventory
 from core.errors import Rejected
 from core.jobs.spec import JOB_SPEC, JobSpec, TrainSpec
 from core.jobs.submission import completed
+from core.start_up import start_lean
 from worker.compile_cache.local import CACHE
 from worker.host.child import device_variables
 from worker.protocol import (
@@ -107,6 +108,7 @@ def _train(task: Task, spec: TrainSpec, events: "Told") -> int:
 
     before = signal.signal(signal.SIGINT, stop)
     try:
+        start_lean()
         # They import JAX, which reads the device's variables.
         from worker.training.built_environment import build_environment
         from worker.training.train import train

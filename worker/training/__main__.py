@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from core.start_up import start_lean
 from worker.confinement.own_files import keep_to_own_files
 from worker.host.processes import die_with_parent
 from worker.stopping import StopRequest
@@ -22,6 +23,7 @@ def main() -> None:
     if (task.get("gang") or {}).get("rank"):
         stopping.is_the_leaders()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    start_lean()
     # Sent before anything heavy is imported: from here on the job is known to run.
     os.write(events_fd, json.dumps({"type": "hello", "pid": os.getpid()}).encode() + b"\n")
     from worker.training.hosts import leave  # Imports JAX.

@@ -129,4 +129,4 @@ def _fingerprint(model: mujoco.MjModel) -> str:
     """Equal for equal models, in any process."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
-    return hashlib.sha256(content.tobytes()).hexdigest()
+    return hashlib.sha256(content.data).hexdigest()

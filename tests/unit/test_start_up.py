@@ -1,14 +1,15 @@
-"""Brax's training code is loaded without Brax's physics: a package that is put off, and then wanted."""
+"""A lean start: a package that is put off, and then wanted."""
 
 import importlib
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from core.algorithms.brax_training import put_off
+from core.start_up import put_off
 
 PACKAGE = """
 import os
@@ -66,3 +67,15 @@ def test_a_package_that_is_loaded_already_stays_as_it_is() -> None:
 def test_a_package_that_is_not_there_is_no_matter() -> None:
     put_off("no_such_package_at_all")
     assert "no_such_package_at_all" not in sys.modules
+
+
+def test_a_lean_start_leaves_the_window_system_alone_until_it_is_asked_for() -> None:
+    code = (
+        "import sys; from core.start_up import start_lean; start_lean(); import mujoco; "
+        "print(mujoco.Renderer.__name__, 'glfw.library' in sys.modules, mujoco.GLContext.__name__)"
+    )
+    variables = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=variables, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["Renderer", "False", "GLContext"]
