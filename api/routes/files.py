@@ -257,4 +257,8 @@ def absence(job: Job, wanted: str, role: ArtifactRole | None = None) -> NotFound
         return ArtifactNotReady(f"Job {job.id} is {job.status} and has no {wanted} yet.{instead}", **facts)
     because = f" ({job.reason}: {job.message})" if job.reason else ""
     sentence = f"Job {job.id} has ended as {job.status}{because} without a {wanted}.{instead}"
+    if role in ("video", "poster") and any(artifact.role == "replay" for artifact in job.artifacts):
+        sentence += " Its replay is there, in 3D on its page."
+        if isinstance(job.spec, TrainSpec):
+            sentence += f" `gaitway rollout {job.id}` draws a video."
     return ArtifactNotFound(sentence, reason=job.reason, **facts)

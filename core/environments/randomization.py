@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
@@ -67,8 +67,8 @@ FIELDS: dict[FieldName, FieldInfo] = {
 class Randomization(Strict):
     """One difference between environments: each changes a field of MuJoCo's model by a random number.
 
-    An environment keeps its numbers for an episode and draws new ones at each fresh start; with
-    `reset_pool_size` 0, it draws them once for the run.
+    An environment draws new numbers at each fresh start and, with `every_s`, also later in an episode. With
+    `reset_pool_size` 0, all its episodes have the same ones.
     """
 
     field: FieldName = Field(
@@ -106,6 +106,12 @@ class Randomization(Strict):
         description="Rules with the same name here share a draw: their numbers lie at the same fraction of "
         "their ranges, so that a gain and its bias can be scaled together.",
     )
+    every_s: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        description="Seconds after which a running episode gets a new number; null: it keeps its own.",
+    )
 
     @model_validator(mode="after")
     def _goes_together(self) -> "Randomization":
@@ -126,6 +132,11 @@ class Randomization(Strict):
             raise ValueError(f"{self.field} belongs to the whole model; it takes neither names nor each")
         if self.recompute_inertia and self.field != "body_mass":
             raise ValueError(f"recompute_inertia goes with body_mass, not with {self.field}")
+        if self.every_s is not None and about.changes_constants:
+            raise ValueError(
+                f"{self.field} stays the same in an episode, because MuJoCo derives constants of the whole "
+                "model from it: leave every_s out"
+            )
         return self
 
     @property
@@ -134,6 +145,18 @@ class Randomization(Strict):
         return [self.field, *(["body_inertia"] if self.recompute_inertia else [])]
 
 
-Randomizations = Annotated[list[Randomization], Field(max_length=64)]
+def _at_one_time(rules: list[Randomization]) -> list[Randomization]:
+    """Refuse rules that change a field together, or share a draw, but not at the same times."""
+    first = dict[tuple[str, str], int]()
+    for number, rule in enumerate(rules):
+        shared = [("change", rule.field), *([("share the draw", rule.draw)] if rule.draw else [])]
+        for does, what in shared:
+            other = first.setdefault((does, what), number)
+            if rules[other].every_s != rule.every_s:
+                raise ValueError(f"rules {other} and {number} {does} {what!r}, so every_s must be the same")
+    return rules
+
+
+Randomizations = Annotated[list[Randomization], Field(max_length=64), AfterValidator(_at_one_time)]
 
 assert set(get_args(FieldName)) == set(FIELDS)  # noqa: S101 - a table of constants

@@ -216,7 +216,8 @@ def _check_engine(spec: TrainSpec, source: Job) -> None:
 
 
 def _check_fields(spec: TrainSpec, source: Job) -> None:
-    """A checkpoint holds the randomized fields, so these must stay the same; their ranges may change."""
+    """A checkpoint holds the randomized fields, and a clock where they change within episodes; their ranges
+    and intervals may change."""
     had, has = (
         sorted({name for rule in one.randomization for name in rule.fields}) for one in (source.spec, spec)
     )
@@ -224,6 +225,15 @@ def _check_fields(spec: TrainSpec, source: Job) -> None:
         detail = (
             f"The checkpoint's job randomizes {', '.join(had) or 'nothing'}, this one "
             f"{', '.join(has) or 'nothing'}; the fields must be the same, only their ranges may change."
+        )
+        raise Rejected(detail, [Problem("/randomization", detail)])
+    had_clock, has_clock = (
+        any(rule.every_s is not None for rule in one.randomization) for one in (source.spec, spec)
+    )
+    if had_clock != has_clock:
+        detail = (
+            "Only one of this job and the checkpoint's has a rule with `every_s`: give one to both or to "
+            "neither, since the checkpoint holds the time since an episode's start only where it counts."
         )
         raise Rejected(detail, [Problem("/randomization", detail)])
 

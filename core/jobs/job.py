@@ -70,13 +70,13 @@ class Artifact(Stored):
     metadata: dict[str, Any] = Field(default_factory=dict)
 
 
-JobPhase = Literal["preparing", "compiling", "training", "evaluating", "acting", "drawing"]
+JobPhase = Literal["preparing", "compiling", "training", "evaluating", "acting", "drawing", "testing"]
 
 
 class Progress(Stored):
     """The progress of a running job. step, total: environment steps; eta_s: seconds.
 
-    phase: what its attempt does now. `acting` is a rollout's word for training.
+    phase: what its attempt does now. `acting` is a rollout's word for training; `testing` is the battery.
     """
 
     step: int = 0

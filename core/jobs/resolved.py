@@ -140,10 +140,10 @@ def model_of(environment: EnvironmentSpec) -> str | None:
 def engines_that_cannot(description: Description | None, options: MjcfOptions) -> Mapping[EngineName, str]:
     """Engines that cannot run the model, or read what the options read of it, each with the reason."""
     if description is None:
-        return {}
+        return options.cannot_run
     # What was tried is the model as it was sent.
     tried = description.engines.items() if options.edits == ModelEdits() else ()
-    cannot: dict[EngineName, str] = {name: why for name, why in tried if why is not None}
+    cannot = {**options.cannot_run, **{name: why for name, why in tried if why is not None}}
     for sensor in description.inventory.sensors:
         if options.sensors is None or sensor.name in options.sensors:
             for engine, why in sensor.beyond.items():

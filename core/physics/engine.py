@@ -77,7 +77,7 @@ class PhysicsState:
     qpos: [nq], qvel: [nv], act: [na], qacc_warmstart: [nv], time: [] in seconds; all float32.
     derived: the fields the engine was built for, by MuJoCo's names and shapes; with `warp` also `OVERFLOW`.
     model: those of `MODEL_FIELDS` in which this environment differs from the engine's model, in MuJoCo's
-    shapes; float32. They stay the same during an episode.
+    shapes; float32. A step leaves them as they are.
     exact: what an engine has to carry in MuJoCo's own precision, each number as the sum of three float32
     [..., 3]; `native` does so with the delays' history and with the time at which it is read.
     """

@@ -25,6 +25,7 @@ class Description(Stored):
     settled_height: the root's, in metres, after up to 2 s of that. notes: for people. recipe: options of
     `mjcf` under which the model learns to walk by command, without its id; None where there are none, or it
     was described before there were recipes. recipe_notes: what was guessed in it, or why there is none.
+    recipe_engines: as `engines`, of the model with the recipe's edits, as far as reading it tells.
     """
 
     inventory: Inventory
@@ -39,6 +40,7 @@ class Description(Stored):
     notes: list[str] = []
     recipe: dict[str, Any] | None = None
     recipe_notes: list[str] = []
+    recipe_engines: dict[EngineName, str | None] = {}
 
 
 class ModelRecord(Stored):

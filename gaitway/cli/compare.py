@@ -99,13 +99,19 @@ def differing(settings: Sequence[Mapping[str, Cell]]) -> Rows:
     return {path: cells for path, cells in rows.items() if len({json.dumps(cell) for cell in cells}) > 1}
 
 
-def flat(document: Any, path: str = "") -> Iterator[tuple[str, Cell]]:
+def flat(document: Any) -> Iterator[tuple[str, Cell]]:
     """Every setting with its path; a list is one setting, as JSON."""
+    for path, value in leaves(document):
+        yield path, json.dumps(value) if isinstance(value, list) else value
+
+
+def leaves(document: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Every setting with its path; a list is one setting."""
     if isinstance(document, dict):
         for name, value in cast("dict[str, Any]", document).items():
-            yield from flat(value, f"{path}.{name}" if path else name)
+            yield from leaves(value, f"{path}.{name}" if path else name)
     else:
-        yield path, json.dumps(document) if isinstance(document, list) else document
+        yield path, document
 
 
 def _by_row(columns: Sequence[Mapping[str, Cell]]) -> Rows:

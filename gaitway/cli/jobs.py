@@ -1,5 +1,6 @@
 """`gaitway jobs`, `show`, `cancel`, `delete`: jobs as they stand; `workers`; `slots`: how many are wanted."""
 
+import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, cast
@@ -10,7 +11,7 @@ from rich.text import Text
 
 from gaitway.battery import shown_battery
 from gaitway.cli.common import AsJson, JobName, Yes, client_of, confirm, job_id, print_json, wrong_usage
-from gaitway.cli.compare import flat
+from gaitway.cli.compare import leaves
 from gaitway.cli.progress import duration
 from gaitway.cli.terminal import Console
 from gaitway.cli.watch import ending
@@ -71,7 +72,7 @@ def show(
     if as_json:
         print_json(found)
         return
-    settings = dict(flat(found.spec)), dict(flat(client.specification(found.id)))
+    settings = dict(leaves(found.spec)), dict(leaves(client.specification(found.id)))
     console = Console()
     for line in [
         *_lines(found),
@@ -187,16 +188,25 @@ def _local(moment: datetime | None) -> str:
 
 
 def _settings(sent: Mapping[str, Any], whole: Mapping[str, Any]) -> list[str]:
-    """The settings that were sent, and those that were filled in."""
+    """The settings that were sent, then those that were filled in: one a line, of a list an item a line."""
     left_out = ("kind", "name", "labels", "environment.id")
     shown = {path: value for path, value in sent.items() if not path.startswith(left_out)}
     rest = {path: value for path, value in whole.items() if path not in sent and path.startswith(_FILLED_IN)}
-    told = {"settings": shown, "filled in": rest}
-    return [f"  {title + ':':<11}{_joined(found)}" for title, found in told.items() if found]
+    lines = list[str]()
+    for title, found in {"settings": shown, "filled in": rest}.items():
+        width = max(map(len, found), default=0)
+        lines += [f"  {title}:"] if found else []
+        for path, value in found.items():
+            first, *more = _items(value)
+            lines += [f"    {path:<{width}}  {first}", *(" " * (width + 6) + item for item in more)]
+    return lines
 
 
-def _joined(settings: Mapping[str, Any]) -> str:
-    return ", ".join(f"{path}={value}" for path, value in settings.items())
+def _items(value: Any) -> list[str]:
+    """A list of terms as an item a line; anything else as one line."""
+    if isinstance(value, list) and any(isinstance(item, dict) for item in cast("list[Any]", value)):
+        return [json.dumps(item) for item in cast("list[Any]", value)]
+    return [value if isinstance(value, str) else json.dumps(value)]
 
 
 def _metrics(job: JobView, *, all_of_them: bool) -> list[str]:

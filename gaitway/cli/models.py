@@ -129,6 +129,10 @@ def _recipe(model: ModelView) -> None:
     print_json(job)
 
 
+# Those that a worker tries; `mjx` comes last, and takes up to minutes.
+_ENGINES = ("native", "compiled", "warp", "mjx")
+
+
 def _how(tried: str | None, seconds: float | None) -> str:
     """How an engine moved it, and how long its code took to make."""
     made = "" if seconds is None else f" (made and tried in {seconds:g} s)"
@@ -148,29 +152,51 @@ def _sensor(found: dict[str, Any]) -> str:
 
 
 def _lines(found: dict[str, Any]) -> list[str]:
+    """First what its owner can judge, then what its engines say, then its parts."""
     has, sizes = found["inventory"], found["inventory"]["sizes"]
-    lines = [
+    return [
         *([f"read from {found['main']}"] if found.get("main") else []),
-        f"nq {sizes['nq']}, nv {sizes['nv']}, nu {sizes['nu']}",
+        *_of_the_recipe(found.get("recipe") or {}),
         f"{has['mass_kg']:.3g} kg, root {has['root']!r}",
+        f"begins at {has['initial_height']:.3g} m, settles at {found['settled_height']:.3g} m",
+        *found["notes"],
+        *_engines(found),
+        f"nq {sizes['nq']}, nv {sizes['nv']}, nu {sizes['nu']}",
         f"bodies: {', '.join(has['bodies'])}",
         f"joints: {', '.join(joint['name'] or 'a ' + joint['type'] for joint in has['joints'])}",
         f"actuators: {', '.join(map(_actuator, has['actuators']))}",
         f"sensors: {', '.join(map(_sensor, has['sensors'])) or 'none'}",
         f"cameras: {', '.join(filter(None, has['cameras'])) or 'none'}",
         f"keyframes: {', '.join(filter(None, has['keyframes'])) or 'none'}",
-        f"begins at {has['initial_height']:.3g} m, settles at {found['settled_height']:.3g} m",
-        f"{found['physics_steps_per_second']:,.0f} physics steps/s on one core",
+        f"{found['physics_steps_per_second']:,.0f} physics steps/s of C MuJoCo on one core",
     ]
+
+
+def _of_the_recipe(options: dict[str, Any]) -> list[str]:
+    """How it stands in the job in which it learns to walk."""
+    edits = options.get("edits")
+    if not edits:
+        return []
+    pose = edits.get("pose", {})
+    stands = "joints as the recipe says" if pose.get("joints") else "as it is in its file"
+    if keyframe := pose.get("keyframe"):
+        stands = f"the keyframe {keyframe!r}"
+    return [f"feet: {', '.join(edits.get('feet', []))}", f"pose: {stands}"]
+
+
+def _engines(found: dict[str, Any]) -> list[str]:
+    """Which run it with the recipe's edits, then which do as it is, and what was tried."""
     tried, seconds = found.get("trials", {}), found.get("code_seconds", {})
+    able = [name for name, why in found.get("recipe_engines", {}).items() if why is None]
+    lines = [f"engines with the recipe's edits: {', '.join(able)}"] if able else []
     for name, why in found["engines"].items():
         told = f"does not run it: {why}" if why else f"runs it{_how(tried.get(name), seconds.get(name))}"
-        lines.append(f"{name}: {told}")
-    lines += [f"{name}: {words}" for name, words in tried.items() if name not in found["engines"]]
+        lines.append(f"{name}, as it is: {told}")
+    lines += [f"{name}, as it is: {words}" for name, words in tried.items() if name not in found["engines"]]
     if taken := found.get("auto"):
-        lines.append(
-            f"`auto` takes {', '.join(f'{name} on a {kind.upper()}' for kind, name in taken.items())}"
-        )
-    if not found["complete"]:
-        lines.append("the other engines are still being tried: run `gaitway models show` in a moment")
-    return [*lines, *found["notes"]]
+        chosen = ", ".join(f"{name} on a {kind.upper()}" for kind, name in taken.items())
+        lines.append(f"`auto` takes {chosen}, as it is")
+    left = [name for name in _ENGINES if name not in tried and not found["engines"].get(name)]
+    if left and not found["complete"]:
+        lines.append(f"still being tried: {', '.join(left)}; `gaitway models show` tells it later")
+    return lines

@@ -16,7 +16,9 @@ from gaitway.schema import JobView
 from gaitway.views import Event
 
 _SPEED = ("eval/forward_speed", "training/forward_speed")
-_WORDS = {"drawing": "drawing the video"}
+_WORDS = {"drawing": "drawing the video", "testing": "testing in C MuJoCo"}
+# Nothing else is told meanwhile, and it lasts from a second to minutes.
+_COMPILING = "the first time may take minutes, a later start of the same job is shorter"
 # These follow one another with each evaluation: no news where every piece of it is a line.
 _ROUTINE = {"training", "evaluating"}
 _HELD = {"starting", "running", "cancelling"}
@@ -107,6 +109,8 @@ class JobProgress:
     def _numbers(self, curve: str) -> list[str]:
         """curve: stands behind the return."""
         parts = [f"{self.step:,}/{self.total:,} steps"] if self.total else []
+        if self.phase == "compiling":
+            parts.append(_COMPILING)
         if (episodes := self.metrics.get("training/num_episodes")) is not None:
             done = self.metrics.get("training/episodes", 0.0)
             parts.insert(0, f"{done:,.0f}/{episodes:,.0f} episodes")

@@ -28,7 +28,7 @@ class ArtifactView(View):
 class ProgressView(View):
     """The progress of a running job. step, total: environment steps; eta_s: seconds.
 
-    phase: what its attempt does now. `acting` is a rollout's word for training.
+    phase: what its attempt does now. `acting` is a rollout's word for training; `testing` is the battery.
     """
 
     step: int = 0

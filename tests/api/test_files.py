@@ -145,6 +145,16 @@ def test_a_video_that_never_comes_says_why(stack: Stack) -> None:
     assert "Retry-After" not in answer.headers
 
 
+def test_without_a_video_the_replay_is_offered(stack: Stack) -> None:
+    attempt = Attempt(stack, job())
+    attempt.keep("replay.bin", role="replay", media_type="application/octet-stream")
+    attempt.end()
+    detail = problem(stack.http.get(f"/jobs/{attempt.id}/video"), 404, "artifact-not-found")["detail"]
+    assert detail.endswith(
+        f"Its replay is there, in 3D on its page. `gaitway rollout {attempt.id}` draws a video."
+    )
+
+
 def test_checkpoints_are_listed_by_step_and_fetched(stack: Stack, attempt: Attempt) -> None:
     for step in (300, 100, 200):
         facts = {"role": "checkpoint", "step": step, "media_type": "application/octet-stream"}

@@ -380,6 +380,38 @@ def test_a_recipe_is_printed_as_a_job_that_is_accepted(stack: Stack, monkeypatch
     assert stack.http.post("/jobs", json={**job, "battery": None}).status_code == 202
 
 
+def test_a_model_is_shown_as_its_owner_looks_at_it(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GAITWAY_URL", str(stack.http.base_url))
+    edits = {"feet": ["arm", "ball"], "pose": {"keyframe": "home"}}
+    found = {
+        "recipe": {"edits": edits},
+        "recipe_engines": {"native": None, "compiled": None, "mjx": "It has a box."},
+    }
+    with worker(stack, status="ready", description=DESCRIPTION.model_copy(update=found)):
+        model = send(stack.http).json()["id"]
+    lines = CliRunner().invoke(app, ["models", "show", model]).stdout.splitlines()
+    assert lines[1:3] == ["  feet: arm, ball", "  pose: the keyframe 'home'"]
+    engines = [line.strip() for line in lines if "as it is" in line or "edits" in line]
+    assert engines[:2] == [
+        "engines with the recipe's edits: native, compiled",
+        "native, as it is: runs it; the same to 1e-7 after 1 s (made and tried in 2 s)",
+    ]
+    assert engines[2].startswith("compiled, as it is: does not run it: ")
+    assert not any("still being tried" in line for line in lines)  # It is complete.
+    assert lines[-1] == f"A job in which it learns to walk: gaitway models show {model} --recipe"
+
+
+def test_engines_that_are_still_tried_are_named_once(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GAITWAY_URL", str(stack.http.base_url))
+    found = {"engines": {"native": None, "compiled": "It has a mesh."}, "complete": False}
+    with worker(stack, status="ready", description=DESCRIPTION.model_copy(update=found)):
+        model = send(stack.http).json()["id"]
+    shown = CliRunner().invoke(app, ["models", "show", model]).stdout
+    assert [line for line in shown.splitlines() if "tried:" in line] == [
+        "  still being tried: warp, mjx; `gaitway models show` tells it later"
+    ]
+
+
 def test_a_model_without_a_recipe_says_why(stack: Stack, monkeypatch: pytest.MonkeyPatch, model: str) -> None:
     monkeypatch.setenv("GAITWAY_URL", str(stack.http.base_url))
     shown = CliRunner().invoke(app, ["models", "show", model, "--recipe"])

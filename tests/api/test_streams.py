@@ -80,7 +80,7 @@ def test_the_progress_of_a_job_says_its_phase_while_an_attempt_holds_it(
         "phase"
     ]
     assert phase["anyOf"][0]["enum"] == [
-        "preparing", "compiling", "training", "evaluating", "acting", "drawing"
+        "preparing", "compiling", "training", "evaluating", "acting", "drawing", "testing"
     ]  # fmt: skip
 
 

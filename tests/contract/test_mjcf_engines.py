@@ -14,6 +14,7 @@ from core.environments.environment import State
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from tests.unit.environments.mjcf.probe import XML, options
+from tests.unit.environments.mjcf.test_feet import stumbles
 
 TERMS = options(
     reward=[
@@ -113,3 +114,10 @@ def test_every_engine_earns_sees_and_ends_alike(
         np.testing.assert_allclose(other.obs, native.obs, atol=1e-4)
         assert float(other.done) == float(native.done)
     assert float(native.done) == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.usefixtures("warp_kernels")
+def test_warp_tells_the_direction_of_contacts_forces_as_native_does(tmp_path: Path) -> None:
+    assert stumbles(tmp_path, "warp", 75) == [[0, 0], [1, 0]]

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -189,6 +189,18 @@ def test_derived_fields_are_those_of_each_environments_own_model(
             mujoco.mj_forward(model, data)
             for field in DERIVED:
                 np.testing.assert_allclose(state.derived[field][env], getattr(data, field), atol=5e-6)
+
+
+def test_fields_that_change_between_two_steps_are_those_of_the_next_step(bench: RandomizedEngine) -> None:
+    # Each environment runs on with the model of another one.
+    others = list(reversed(MODELS.values()))
+    state = replace(bench.end, model=fields_of(others))
+    for _ in range(NUM_STEPS):
+        state = bench.step_many(state, np.tile(CTRL, (len(MODELS), 1)))
+    for env, (model, other) in enumerate(zip(MODELS.values(), others, strict=True)):
+        data = reference(model)
+        mujoco.mj_step(other, data, NUM_STEPS * NUM_SUBSTEPS)
+        np.testing.assert_allclose(state.qpos[env], data.qpos, atol=3 * bench.tolerance)
 
 
 def test_an_environments_fields_stay_as_they_are(bench: RandomizedEngine) -> None:

@@ -1,6 +1,7 @@
 """The client and the CLI against the real service, over real sockets."""
 
 import json
+import re
 import threading
 from datetime import UTC, datetime
 from pathlib import Path
@@ -82,8 +83,8 @@ def test_a_rollout_of_a_job_takes_its_environment_and_the_first_hour_has_its_com
     assert spec["environment"] == {"id": "ant", "options": {"healthy_reward": 0.5}}
     assert (spec["policy"]["job"], spec["num_episodes"], spec["video"]) == (trained.id, 3, None)
     shown = gaitway(stack, "show", trained.id).output
-    assert "settings:  environment.options.healthy_reward=0.5" in shown
-    assert "algorithm.learning_rate=" in shown
+    assert "settings:\n    environment.options.healthy_reward  0.5\n  filled in:\n" in shown
+    assert re.search(r"^    algorithm\.learning_rate +\d", shown, re.MULTILINE)
     assert gaitway(stack, "workers").output == "No worker is running.\n"
     assert gaitway(stack, "--version").output.startswith("gaitway ")
     asked = gaitway(stack, "delete", rollout)
@@ -297,7 +298,11 @@ def test_the_cli_brings_a_body_and_shows_what_is_in_it(stack: Stack, tmp_path: P
         added = gaitway(stack, "models", "add", str(file)).stdout
     model, _, name = added.splitlines()[0].split()
     assert name == "ball.xml"
-    engines = ("native: runs it", "mjx: does not run it: Ellipsoids", "being tried")
+    engines = (
+        "native, as it is: runs it",
+        "mjx, as it is: does not run it: Ellipsoids",
+        "being tried: warp;",
+    )
     for said in ("nu 1", "keyframes: raised", *engines, "It fell"):
         assert said in added
     assert gaitway(stack, "models", "show", model).stdout == added

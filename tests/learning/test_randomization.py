@@ -39,7 +39,12 @@ def pendulum() -> Environment:
     environment = catalog.make(
         info, info.options(), lambda model, substeps, derived, **_: NativeEngine(model, substeps, derived)
     )
-    return randomize(environment, [Randomization(field="body_mass", range=(0.5, 2.0))])
+    # A step takes 0.04 s.
+    rules = [
+        Randomization(field="body_mass", range=(0.5, 2.0)),
+        Randomization(field="opt.gravity", axis=2, range=(0.8, 1.2), every_s=0.2),
+    ]
+    return randomize(environment, rules)
 
 
 def gravities(checkpoint: bytes) -> Any:

@@ -84,7 +84,7 @@ def roll_out(
             )
             film.show("video", of_video, None)
     if spec.battery is not None and not stopping.asked:
-        events.send(PhaseBegan(phase="evaluating"))
+        events.send(PhaseBegan(phase="testing"))
         writer = BatteryWriter(spec.battery, whole, lambda: stopping.asked)
         metrics = writer.test(spec, partial(trained_policy, task, spec, events), None, events)
         if metrics:

@@ -90,7 +90,7 @@ def train(
     if task.gang is not None and isinstance(run, Run):
         run.end()
     if battery is not None and not was_stopped:
-        report.enter("evaluating")
+        report.enter("testing")
         with stopping.nothing_to_keep():
             battery.test_trained(policies)
     return was_stopped

@@ -79,6 +79,12 @@ class ReplayWriter:
         )
 
 
+def no_video(why: str, spec: TrainSpec | RolloutSpec) -> str:
+    """Why there is none, and what shows the same. why: a sentence."""
+    later = "; `gaitway rollout JOB` draws a video later" if isinstance(spec, TrainSpec) else ""
+    return f"There is no video: {why} The replay on the job's page shows the same episodes{later}."
+
+
 @dataclass(frozen=True)
 class VideoRecorder:
     """Makes a job's videos. roller: acts by the policy, in `video.episodes` episodes side by side."""
@@ -119,7 +125,7 @@ class VideoRecorder:
         try:
             result = self._drawn(name, shown)
         except RenderingFailed as error:
-            self.events.send(Noted(text=f"There is no video: {error.detail}"))
+            self.events.send(Noted(text=no_video(error.detail, self.spec)))
             return
         speed = trajectory.summary(shown)["mean"]["forward_speed_m_s"]
         facts = {**result.model_dump(), "forward_speed_m_s": speed, "episodes": len(episodes)}

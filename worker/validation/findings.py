@@ -1,15 +1,16 @@
 """Examines a model: compiles it, lets it fall, and loads it into each engine."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import mujoco
 import numpy as np
 
-from core.environments.mjcf.edits import edits_for_compiled, without_drawings
+from core.environments.mjcf.edit_options import ModelEdits
+from core.environments.mjcf.edits import edit, edits_for_compiled, without_drawings
 from core.environments.mjcf.model import SLEEP_IS_OFF, is_to_sleep, read
 from core.environments.mjcf.recipe import NoRecipe, Recipe, recipe
 from core.environments.task_model import compiled
@@ -42,6 +43,7 @@ def findings(file: Path) -> Iterator[Description]:
         model = compiled(spec)
         _check(model)
         walking = _walking(spec)
+        edited = _judged_with_edits(walking.options, spec, model)
         engines = _judged_by_reading(model)
         if (why := engines["compiled"]) is not None:
             engines["compiled"] = _with_a_remedy(why, spec, model)
@@ -63,6 +65,7 @@ def findings(file: Path) -> Iterator[Description]:
         ],
         recipe=walking.options or None,
         recipe_notes=list(walking.notes),
+        recipe_engines=edited,
     )
     description = with_choices(description)
     yield description
@@ -107,6 +110,19 @@ def _walking(spec: mujoco.MjSpec) -> Recipe:
         return Recipe({}, [f"There is no recipe for it: {error}."])
     except Exception as error:  # A model that it cannot be tried on may be a good one.
         return Recipe({}, [f"There is no recipe for it: {' '.join(str(error).split())[:300]}"])
+
+
+def _judged_with_edits(
+    options: Mapping[str, Any], spec: mujoco.MjSpec, model: mujoco.MjModel
+) -> dict[EngineName, str | None]:
+    """The same findings of the model as the recipe's job has it; none without a recipe."""
+    if not options:
+        return {}
+    try:
+        edit(changed := without_drawings(spec, model), ModelEdits.model_validate(options["edits"]))
+        return _judged_by_reading(compiled(changed, options.get("timestep"), sensors=[]))
+    except (JobFailed, ValueError):  # Its job says why.
+        return {}
 
 
 def _with_a_remedy(why: str, spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:

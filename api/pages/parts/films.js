@@ -47,7 +47,7 @@ function NoFilm({ job }) {
     job.spec.video === null
       ? "This job asks for no video."
       : ["succeeded", "failed", "cancelled"].includes(job.status)
-        ? "The job ended without a video."
+        ? `The job ended without a video.${newest(job, "replay") ? ` The replay shows the same${job.kind === "train" ? ", and a rollout draws one" : ""}.` : ""}`
         : job.progress.phase === "drawing"
           ? "The video is drawn now."
           : job.kind === "train" && !job.spec.video?.every_checkpoint

@@ -1,7 +1,7 @@
 /** A job in a row of a list: its status, progress, labels, poster and returns. */
 
 import { get } from "../lib/api.js";
-import { compact, count, duration, value } from "../lib/format.js";
+import { compact, count, duration, seconds, value } from "../lib/format.js";
 import { html } from "../lib/html.js";
 import { useInSight } from "../lib/in_sight.js";
 import { isOver, newest } from "../lib/job.js";
@@ -10,10 +10,17 @@ import { href } from "../lib/route.js";
 export const Status = ({ job }) => html`<span class="status ${job.status}">${job.status}</span>`;
 
 // A job's phases besides the steps that its progress counts.
-const PHASES = { preparing: "prepares", compiling: "compiles", evaluating: "evaluates", drawing: "draws the video" };
+const PHASES = { preparing: "prepares", compiling: "compiles", evaluating: "evaluates", drawing: "draws the video", testing: "tests the policy in C MuJoCo: the battery" };
+const SOON_S = 15; // Where its programs were kept, a job trains by then.
 
 /** What the job does now, unless the steps say it. */
-export const phaseOf = (job) => PHASES[job.progress.phase];
+function phaseOf(job) {
+  const phase = PHASES[job.progress.phase];
+  const begun = job.attempts?.at(-1)?.started_at ?? job.started_at;
+  const passed = begun ? seconds(begun, Date.now()) : 0;
+  if (phase !== PHASES.compiling || passed < SOON_S) return phase;
+  return `compiles (started ${duration(passed)} ago); the first time may take minutes, a later start of the same job is shorter`;
+}
 
 /** Steps, speed and the time that is left; before the first step what is done for it. */
 export function Progress({ job }) {
@@ -21,7 +28,7 @@ export function Progress({ job }) {
   const isGoing = !isOver(job) && job.status !== "queued";
   const phase = isGoing && phaseOf(job);
   if (!total) return phase ? html`<span class="facts">${phase}…</span>` : null;
-  const isMoving = isGoing && phase !== PHASES.drawing;
+  const isMoving = isGoing && ![PHASES.drawing, PHASES.testing].includes(phase);
   return html`<div class="progress">
     ${isGoing && html`<progress max=${total} value=${step} aria-label="Progress of ${job.name || job.id}"></progress>`}
     <span class="facts" title="${count(step)} of ${count(total)} steps">

@@ -81,17 +81,18 @@ function Model({ model, again }) {
     <h2>${modelName(model)}</h2>
     <p class="facts"><span class="status ${model.status === "ready" ? "succeeded" : model.status === "refused" ? "failed" : ""}">${model.status}</span>
       ${` · ${bytes(model.size)} · ${ago(model.created_at)}${whose(model)}`}</p>
-    <p class="facts"><code>${model.id}</code></p>
-    ${found?.main && html`<p class="facts">Read from ${found.main}</p>`}
     ${model.message && html`<p class="error"><${Prose} text=${model.message} /></p>`}
-    ${found && html`<${Contents} found=${found} />`}
-    ${found?.recipe && html`<${Recipe} model=${model} />`}
-    ${error && html`<${Failure} error=${error} />`}
+    ${found && html`<${Owned} found=${found} />`}
     <p class="actions">
       ${found?.recipe && html`<a class="button" href=${href(["submit"], { job: JSON.stringify(walkingJob(model)) })}>Let it walk by command</a>`}
       ${model.status === "ready" && html`<a class=${found?.recipe ? "" : "button"} href=${href(["submit"], { environment: "mjcf", model: model.id })}>${found?.recipe ? "Train it on terms of your own" : "Train it"}</a>`}
-      <${Confirm} text="Delete" question="Delete this model?" onYes=${discard} isDangerous />
     </p>
+    ${found?.notes.map((note) => html`<p class="facts"><${Prose} text=${note} /></p>`)}
+    ${found?.recipe && html`<${Recipe} model=${model} />`}
+    ${found && html`<${Engines} found=${found} /><${Parts} found=${found} />`}
+    <p class="facts"><code>${model.id}</code>${found?.main && `, read from ${found.main}`}</p>
+    ${error && html`<${Failure} error=${error} />`}
+    <p class="actions"><${Confirm} text="Delete" question="Delete this model?" onYes=${discard} isDangerous /></p>
   </section>`;
 }
 
@@ -106,26 +107,42 @@ function Recipe({ model }) {
   </details>`;
 }
 
-/** What the worker found in it. */
-function Contents({ found }) {
-  const { inventory, engines, notes } = found;
-  const { nq, nv, nu } = inventory.sizes;
-  const able = Object.keys(engines).filter((name) => engines[name] === null);
-  const unable = Object.entries(engines).filter(([, reason]) => reason !== null);
+const ableOf = (engines) => Object.keys(engines).filter((name) => engines[name] === null);
+
+/** What its owner can judge: how it stands in its recipe, what runs that, and how heavy and high it is. */
+function Owned({ found: { inventory, recipe, recipe_engines: edited = {}, settled_height: settled } }) {
+  const { feet = [], pose = {} } = recipe?.edits || {};
+  const able = ableOf(edited);
   return html`<dl class="facts-list">
-      <dt>Engines</dt><dd>${able.join(", ") || "none yet"}${found.complete ? "" : " (others are still tried)"}</dd>
-      ${unable.map(([name, reason]) => html`<dt>not ${name}</dt><dd>does not run it: <${Prose} text=${reason} /></dd>`)}
-      ${Object.entries(found.trials ?? {}).map(([name, said]) => html`<dt>${name}, tried</dt><dd>${said}${name in found.code_seconds ? `; made and tried in ${duration(found.code_seconds[name])}` : ""}</dd>`)}
-      ${Object.entries(found.auto ?? {}).map(([device, name]) => html`<dt>auto on a ${device.toUpperCase()}</dt><dd>${name}</dd>`)}
-      ${Object.keys(found.auto || {}).length > 0 && html`<dt>Chosen</dt><dd>${Object.entries(found.auto).map(([device, name]) => `${name} on a ${device.toUpperCase()}`).join(", ")}</dd>`}
-      <dt>Root</dt><dd>${inventory.root}, ${inventory.travels ? "travels" : "stays in its place"}; ${value(inventory.initial_height)} m high, settles at ${value(found.settled_height)} m</dd>
-      <dt>Mass</dt><dd>${value(inventory.mass_kg)} kg</dd>
-      <dt>Sizes</dt><dd>nq ${nq}, nv ${nv}, nu ${nu}; steps of ${duration(inventory.timestep_s)}</dd>
-      <dt>Speed</dt><dd>${compact(found.physics_steps_per_second)} physics steps/s on one core</dd>
-      ${LISTS.map((kind) => html`<dt>${kind}</dt><dd><${Names} items=${inventory[kind]} /></dd>`)}
+    ${feet.length > 0 && html`<dt>Feet</dt><dd>${feet.join(", ")}</dd>`}
+    ${feet.length > 0 && html`<dt>Pose</dt><dd>${pose.keyframe ? `the keyframe ${pose.keyframe}` : pose.joints ? "joints as the recipe says" : "as it is in its file"}</dd>`}
+    ${able.length > 0 && html`<dt>Engines</dt><dd>${able.join(", ")}, with the recipe's edits</dd>`}
+    <dt>Root</dt><dd>${inventory.root}, ${inventory.travels ? "travels" : "stays in its place"}; ${value(inventory.initial_height)} m high, settles at ${value(settled)} m</dd>
+    <dt>Mass</dt><dd>${value(inventory.mass_kg)} kg</dd>
+  </dl>`;
+}
+
+/** Which engines run the file without edits, and how each moved it beside C MuJoCo. */
+function Engines({ found: { engines, trials = {}, code_seconds: made = {}, auto = {}, complete } }) {
+  const names = [...new Set([...Object.keys(engines), ...Object.keys(trials)])];
+  const chosen = Object.entries(auto).map(([device, name]) => `${name} on a ${device.toUpperCase()}`);
+  const told = (name) => (engines[name] ? `does not run it as it is: ${engines[name]}` : `${trials[name] || "runs it"}${name in made ? ` (its code took ${duration(made[name])} to make)` : ""}`);
+  return html`<details><summary>Engines, as it is: ${ableOf(engines).join(", ") || "none yet"}${complete ? "" : " (others are still tried)"}</summary>
+    <p class="facts">Beside C MuJoCo, without edits. A job's <code>edits</code> may let more of them run it.</p>
+    <dl class="facts-list">
+      ${names.map((name) => html`<dt>${name}</dt><dd><${Prose} text=${told(name)} /></dd>`)}
+      ${chosen.length > 0 && html`<dt>Chosen</dt><dd>${chosen.join(", ")}</dd>`}
     </dl>
-    <${Trials} found=${found} />
-    ${notes.map((note) => html`<p class="facts"><${Prose} text=${note} /></p>`)}`;
+  </details>`;
+}
+
+function Parts({ found: { inventory, physics_steps_per_second: speed } }) {
+  const { nq, nv, nu } = inventory.sizes;
+  return html`<details><summary>Parts: joints ${inventory.joints.length}, actuators ${nu}</summary><dl class="facts-list">
+    <dt>Sizes</dt><dd>nq ${nq}, nv ${nv}, nu ${nu}; steps of ${duration(inventory.timestep_s)}</dd>
+    <dt>Speed</dt><dd>${compact(speed)} physics steps/s of C MuJoCo on one core</dd>
+    ${LISTS.map((kind) => html`<dt>${kind}</dt><dd><${Names} items=${inventory[kind]} /></dd>`)}
+  </dl></details>`;
 }
 
 /** A part's name, with an actuator's range, and a sensor's kind with the engines that cannot read it. */
@@ -140,13 +157,4 @@ function Names({ items }) {
   if (!items.length) return "none";
   const names = items.map(nameOfPart).join(", ");
   return names.length < 60 ? names : html`<details><summary>${items.length}</summary>${names}</details>`;
-}
-
-/** How each engine moved the model beside C MuJoCo, and how long its code took to make. */
-function Trials({ found: { trials = {}, code_seconds: made = {} } }) {
-  const tried = Object.entries(trials);
-  if (!tried.length) return null;
-  return html`<details><summary>Trials beside C MuJoCo</summary><dl class="facts-list">
-    ${tried.map(([name, said]) => html`<dt>${name}</dt><dd><${Prose} text=${said} />${made[name] === undefined ? "" : ` (its code took ${duration(made[name])} to make)`}</dd>`)}
-  </dl></details>`;
 }

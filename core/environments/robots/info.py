@@ -113,7 +113,10 @@ def robot_page(robot: Robot, options: type[TaskOptions], description: str) -> En
         curriculum_option="terrain/curriculum",
         vary=varied,
         on_a_cpu=(Rule("compiled", 1, "The robot's code is compiled for it alone."),),
-        on_a_gpu=(Rule("compiled", 1, "The robot's code is compiled for it alone."),),
+        on_a_gpu=(
+            Rule("compiled", 1, "The robot's code is compiled for it alone."),
+            Rule("warp", 1, "Of the engines that tell what the terms read, it is the one for GPUs."),
+        ),
     )
 
 

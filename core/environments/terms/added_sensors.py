@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import mujoco
 
-from core.environments.terms.readings import ContactCount, ContactForce, Reading
+from core.environments.terms.readings import ContactCount, ContactForce, ContactNetForce, Reading
 
 # m: a touch sensor sums the contacts within its site, which is a ball about all of a body's geoms.
 _ABOUT_A_BODY = 10.0
@@ -23,6 +23,15 @@ def add_sensors(spec: mujoco.MjSpec, readings: Iterable[Reading]) -> None:
                 _add_count(spec, reading)
             case ContactForce():
                 _add_force(spec, reading)
+            case ContactNetForce():
+                spec.add_sensor(
+                    name=reading.sensor,
+                    type=mujoco.mjtSensor.mjSENS_CONTACT,
+                    objtype=mujoco.mjtObj.mjOBJ_BODY,
+                    objname=reading.body,
+                    # Bit 1, "force", of all contacts together ("netforce"), along the world's axes.
+                    intprm=[2, 3, 1],
+                )
 
 
 def _add_count(spec: mujoco.MjSpec, reading: ContactCount) -> None:

@@ -13,8 +13,9 @@ from pydantic import Field
 from core.environments.info import Slice, named
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.observations import ObservationTerm
-from core.environments.terms.readings import ContactCount, ContactForce, Reading
+from core.environments.terms.readings import ContactCount, ContactForce, ContactNetForce, Reading
 from core.environments.terms.term import Array, CostTerm, Need, RewardTerm, Term
+from core.physics.availability import EngineName
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -255,12 +256,42 @@ class SoftLanding(_OfTimes, CostTerm):
         return step.while_moving(step.xp.sum(step.times.landed * model.foot_forces(step)))
 
 
+class Stumble(CostTerm):
+    """1 if a foot hits something steep, otherwise 0: the contacts' force F on it in the last physics step has
+    ‖F_xy‖ > ratio |F_z|. On native and warp, which `auto` then takes.
+
+    Source: Rudin et al., Learning to Walk in Minutes (2022), legged_gym's `stumble`.
+    """
+
+    needs = frozenset({"feet", "foot_colliders"})
+    beyond = dict[EngineName, str].fromkeys(
+        ("compiled", "mjx"),
+        "the term `stumble` reads the direction of the contacts' forces, which native and warp alone tell",
+    )
+
+    kind: Literal["stumble"] = "stumble"
+    ratio: float = Field(default=5.0, gt=0, le=100, description="Of the horizontal force to the vertical.")
+
+    def readings(self, parts: ModelParts) -> Iterable[Reading]:
+        return map(ContactNetForce, _feet_bodies(parts))
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        squares = model.foot_net_forces(step) ** 2
+        is_steep = step.xp.sum(squares[:, :2], 1) > self.ratio**2 * squares[:, 2]
+        return step.xp.where(step.xp.any(is_steep), 1.0, 0.0)
+
+
 def _forces(parts: ModelParts) -> list[Reading]:
-    """Those on the bodies whose geoms are the feet's."""
+    return [ContactForce(body) for body in _feet_bodies(parts)]
+
+
+def _feet_bodies(parts: ModelParts) -> Iterable[str]:
+    """The bodies whose geoms are the feet's."""
     colliders = parts.model.colliders or {}
-    on = (colliders[geom][0] for geoms in parts.feet_colliders.values() for geom in geoms)
-    return [ContactForce(body) for body in dict.fromkeys(on)]
+    return dict.fromkeys(colliders[geom][0] for geoms in parts.feet_colliders.values() for geom in geoms)
 
 
 FootObservation = FootHeight | FootVelocity | FootContact | FootContactForce | FootAirTime
-FootReward = AirTime | FootClearance | FootSwingHeight | SwingHeight | FootGait | FootSlip | SoftLanding
+FootReward = (
+    AirTime | FootClearance | FootSwingHeight | SwingHeight | FootGait | FootSlip | SoftLanding | Stumble
+)

@@ -1,4 +1,4 @@
-"""The numbers of a model that a job's `randomization` draws for each episode, for its value function."""
+"""The numbers of a model that a job's `randomization` draws, for its value function."""
 
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,8 +18,8 @@ _DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
 
 
 class Randomized(ObservationTerm):
-    """(x − x*) / |x*|: how far the episode's values of a field are from the model's own x*; where that is 0,
-    the difference. 0 where nothing was drawn."""
+    """(x − x*) / |x*|: how far a field's values x are from the model's own x*; where that is 0, the
+    difference. 0 where nothing was drawn."""
 
     kind: Literal["randomized"] = "randomized"
     field: FieldName = Field(

@@ -34,7 +34,20 @@ class ContactForce:
         return f"{_PREFIX}force:{self.body}"
 
 
-Reading = ContactCount | ContactForce
+@dataclass(frozen=True)
+class ContactNetForce:
+    """The sum of the forces on a body's own geoms in the last physics step, along the world's axes, [3] in N:
+    up to their sign."""
+
+    body: str
+
+    @property
+    def sensor(self) -> str:
+        """The name of its sensor."""
+        return f"{_PREFIX}net_force:{self.body}"
+
+
+Reading = ContactCount | ContactForce | ContactNetForce
 
 
 def is_added(sensor: str) -> bool:

@@ -15,7 +15,7 @@ from core.environments.randomization import FIELDS, FieldName
 from core.environments.terms.describe import touchable
 from core.environments.terms.feet import Foot
 from core.environments.terms.foot_times import FootTimes
-from core.environments.terms.readings import ContactCount, ContactForce, is_added
+from core.environments.terms.readings import ContactCount, ContactForce, ContactNetForce, is_added
 from core.environments.terms.term import Array
 from core.environments.terms.terrain import Ground
 from core.physics.model import model_field
@@ -139,10 +139,19 @@ class ModelIndex:
         """The sum of the normal forces on each foot in the last physics step, [feet] in N."""
         forces, sums = step.after.derived["sensordata"], list[Array]()
         for foot in self.feet:
-            bodies = dict.fromkeys(int(body) for body in self.model.geom_bodyid[list(foot.geoms)])
-            names = [ContactForce(self.model.body(body).name).sensor for body in bodies]
-            sums.append(step.xp.sum(forces[self.sensors(names)]))
+            sums.append(step.xp.sum(forces[self._on(foot, ContactForce)]))
         return step.xp.stack(sums)
+
+    def foot_net_forces(self, step: Step) -> Array:
+        """The sum of all forces on each foot in the last physics step, [feet, 3] in N, up to their sign."""
+        forces = step.after.derived["sensordata"]
+        of_bodies = [forces[self._on(foot, ContactNetForce)].reshape(-1, 3) for foot in self.feet]
+        return step.xp.stack([step.xp.sum(each, 0) for each in of_bodies])
+
+    def _on(self, foot: Foot, reading: type[ContactForce | ContactNetForce]) -> np.ndarray:
+        """Places in `sensordata` of what is read of each body of the foot that has geoms."""
+        bodies = dict.fromkeys(int(body) for body in self.model.geom_bodyid[list(foot.geoms)])
+        return self.sensors([reading(self.model.body(body).name).sensor for body in bodies])
 
     def field(self, name: FieldName) -> np.ndarray:
         """The model's own values of a field, [rows, numbers of each]."""

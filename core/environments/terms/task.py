@@ -27,6 +27,7 @@ from core.environments.terms.term import Memory, Name, Term
 from core.environments.terms.terminations import AnyTermination
 from core.environments.terms.terrain import Terrain
 from core.environments.terms.vocabulary import AnyCriticObservation, AnyObservation, AnyReward
+from core.physics.availability import EngineName, beyond
 
 MOST_FEET = 8
 _SECONDS_PER_ACTION = 0.02
@@ -172,8 +173,16 @@ class TaskOptions(Strict):
         """What is carried from step to step; for tasks that name no metrics always the previous action, which
         their checkpoints hold."""
         always: tuple[Memory, ...] = ("previous_action",) if self.metrics is None else ()
-        parts = (part for term in self.terms for part in (term, *term.inner))
-        return frozenset[Memory](always).union(*(part.remembers for part in parts))
+        return frozenset[Memory](always).union(*(part.remembers for part in self._parts))
+
+    @property
+    def cannot_run(self) -> Mapping[EngineName, str]:
+        """Engines that cannot read what the terms read, and why."""
+        return {engine: beyond(engine, why) for part in self._parts for engine, why in part.beyond.items()}
+
+    @property
+    def _parts(self) -> list[Term]:
+        return [part for term in self.terms for part in (term, *term.inner)]
 
     @property
     def sensors(self) -> list[str] | None:
@@ -218,6 +227,7 @@ def varied(options: TaskOptions) -> Mapping[str, Any]:
     return {
         "observations": (POLICY_GROUP, *([CRITIC_GROUP] if options.critic else [])),
         "has_curriculum": options.terrain is not None and options.terrain.has_curriculum,
+        "cannot_run": options.cannot_run,
     }
 
 

@@ -6,7 +6,7 @@ trains, NumPy beside MuJoCo's own data. Which fields of the physics it reads is 
 (`binding.bound`).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import ceil, floor
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union, get_args
 
@@ -19,6 +19,7 @@ from core.environments.options import NotDescending, OpenRange, Weight
 from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.readings import ContactCount, Reading
+from core.physics.availability import EngineName
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -67,11 +68,13 @@ Memory = Literal["earlier_action", "foot_times", "previous_action", "start"]
 class Term(Strict):
     """A part of an observation, of a reward, or of what ends an episode.
 
-    needs: what else the task must have. remembers: what it reads of earlier steps.
+    needs: what else the task must have. remembers: what it reads of earlier steps. beyond: engines that
+    cannot read what it reads, and why.
     """
 
     needs: ClassVar[frozenset[Need]] = frozenset()
     remembers: ClassVar[frozenset[Memory]] = frozenset()
+    beyond: ClassVar[Mapping[EngineName, str]] = {}
 
     @property
     def label(self) -> str:

@@ -1,4 +1,4 @@
-"""Domain randomisation: an environment whose every fresh start draws fields of the model.
+"""Domain randomisation: an environment that draws fields of the model at every fresh start, or also later.
 
 Source: Peng et al., Sim-to-Real Transfer of Robotic Control with Dynamics Randomization (2018);
 Brax's `randomization_fn` and MuJoCo Playground's `domain_randomize`, which draw once for a run.
@@ -7,7 +7,7 @@ Brax's `randomization_fn` and MuJoCo Playground's `domain_randomize`, which draw
 import copy
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,9 @@ from core.reasons import Reason
 
 # Enough for neighbouring environments to differ; MuJoCo's constants are derived for each model.
 NUM_MODELS = 1024
+# Entries of `State.info`, where fields change within an episode: of its random numbers, and the steps so far.
+_KEY, _STEPS = "randomization_key", "randomization_steps"
+_OF_THE_EPISODE = 7  # Folded into the key that chose the start's model.
 _Floats = NDArray[np.float64]
 
 
@@ -34,27 +37,61 @@ class RandomizedEnvironment(Wrapped):
     """An environment in which every fresh start takes one of the models of a pool.
 
     pool: fields of the model [NUM_MODELS, ...], the same for every seed; the key of a start picks one.
+    intervals: of fields that become those of another model within an episode, after so many steps each. Those
+    that change in a step come from one model.
     """
 
     pool: Mapping[str, NDArray[np.float32]]
+    intervals: Mapping[str, int] = field(default_factory=dict[str, int])
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         reset_key, model_key = jax.random.split(key)
-        chosen = jax.random.randint(model_key, (), 0, NUM_MODELS)
-        drawn = {name: jnp.asarray(values)[chosen] for name, values in self.pool.items()}
-        return self.environment.reset(reset_key, {**drawn, **model})
+        state = self.environment.reset(reset_key, {**self._drawn(model_key), **model})
+        if not self.intervals:
+            return state
+        of_the_episode = jax.random.key_data(jax.random.fold_in(model_key, _OF_THE_EPISODE))
+        return _remembering(state, of_the_episode, jnp.zeros((), jnp.int32))
 
     def step(self, state: State, action: jax.Array) -> State:
-        return self.environment.step(state, action)
+        if not self.intervals:
+            return self.environment.step(state, action)
+        info = dict(state.info)
+        key, steps = info.pop(_KEY), info.pop(_STEPS)
+        own = state.physics.model
+        fresh = self._drawn(jax.random.fold_in(jax.random.wrap_key_data(key), steps))
+        changed = {
+            name: jnp.where((steps > 0) & (steps % interval == 0), fresh[name], own[name])
+            for name, interval in self.intervals.items()
+        }
+        physics = replace(state.physics, model={**own, **changed})
+        after = self.environment.step(replace(state, physics=physics, info=info), action)
+        return _remembering(after, key, steps + 1)
+
+    def _drawn(self, key: jax.Array) -> ModelFields:
+        """The fields of one of the models."""
+        chosen = jax.random.randint(key, (), 0, NUM_MODELS)
+        return {name: jnp.asarray(values)[chosen] for name, values in self.pool.items()}
+
+
+def _remembering(state: State, key: jax.Array, steps: jax.Array) -> State:
+    return replace(state, info={**state.info, _KEY: key, _STEPS: steps})
 
 
 def randomize(environment: Environment, rules: Sequence[Randomization]) -> Environment:
-    """The environment, randomised by these rules in each episode; unchanged if there are none.
+    """The environment, randomised by these rules; unchanged if there are none.
 
     Raises JobFailed("bad_model") if the model lacks what a rule names, or if a rule gives an impossible
     value, such as a negative friction.
     """
-    return RandomizedEnvironment(environment, draw_models(environment.model, rules)) if rules else environment
+    if not rules:
+        return environment
+    pool = draw_models(environment.model, rules)
+    intervals: dict[str, int] = {
+        rule.field: max(1, round(rule.every_s / environment.dt))
+        for rule in rules
+        if rule.every_s is not None and rule.field in pool
+    }
+    return RandomizedEnvironment(environment, pool, intervals)
 
 
 def draw_models(model: mujoco.MjModel, rules: Sequence[Randomization]) -> dict[str, NDArray[np.float32]]:

@@ -9,7 +9,7 @@ from fastapi import FastAPI, Request
 from playwright.sync_api import expect
 
 from api.app import create_app
-from core.jobs.job import Progress
+from core.jobs.job import Progress, utc_now
 from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerInfo
@@ -47,6 +47,26 @@ def test_a_new_metric_is_on_the_page_within_half_a_second(stack: Stack, tab: Tab
     expect(card.get_by_role("listitem")).to_have_text(["level 225 %", "level 1075 %"])
     expect(card.get_by_text("at level 8 in the mean")).to_be_visible()
     tab.picture("job-levels")
+
+
+def test_a_start_that_takes_long_says_why_and_a_battery_says_what_it_is(
+    stack: Stack, tab: Tab, attempt: Attempt
+) -> None:
+    compiling = Progress(step=0, total=1000, phase="compiling")
+    stack.store.record(attempt.id, attempt.claim.token, "events", [], compiling, write_id="a")
+    head = tab.open(f"#/jobs/{attempt.id}").locator(".about-job")
+    expect(head).to_contain_text("0 of 1K steps · compiles…")
+    expect(head).not_to_contain_text("minutes")
+    tab.page.clock.set_fixed_time(utc_now() + timedelta(seconds=100))
+    tab.page.reload()
+    expect(head).to_contain_text(
+        "compiles (started 2 min ago); the first time may take minutes, "
+        "a later start of the same job is shorter…"
+    )
+    tab.picture("job-compiles")
+    testing = Progress(step=1000, total=1000, steps_per_second=10.0, phase="testing")
+    stack.store.record(attempt.id, attempt.claim.token, "events", [], testing, write_id="b")
+    expect(head).to_contain_text("1K of 1K steps · tests the policy in C MuJoCo: the battery…")
 
 
 @pytest.mark.extra

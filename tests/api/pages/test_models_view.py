@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 from core.environments.mjcf.archive import examine
 from core.storage import keys
 from tests.api.conftest import Stack
-from tests.api.pages.conftest import Tab
+from tests.api.pages.conftest import Tab, flaws
 from tests.api.test_models import DESCRIPTION, worker
 from tests.models import identity
 from tests.unit.environments.mjcf.probe import XML
@@ -21,7 +21,11 @@ CHOOSER = "Drop an MJCF or URDF file here"
 @pytest.fixture
 def reading(stack: Stack) -> Iterator[None]:
     """A worker that describes each model, and has a recipe for it."""
-    recipe = {"recipe": {"feet": ["arm"]}, "recipe_notes": ["It has no keyframe."]}
+    recipe = {
+        "recipe": {"feet": ["arm"], "edits": {"feet": ["arm"], "pose": {"keyframe": "raised"}}},
+        "recipe_notes": ["It has no keyframe."],
+        "recipe_engines": {"native": None, "compiled": None},
+    }
     with worker(stack, status="ready", description=DESCRIPTION.model_copy(update=recipe)):
         yield
 
@@ -32,17 +36,23 @@ def expect_the_ball(page: Page) -> None:
     expect(page.get_by_role("heading", name="ball.xml", exact=True)).to_be_visible()
     expect(page.get_by_text(identity(XML), exact=True)).to_be_visible()
     facts = page.locator(".facts-list")
-    expect(facts.locator("dt:text-is('Mass') + dd")).to_have_text("1.1 kg")
-    expect(facts.locator("dt:text-is('Sizes') + dd")).to_contain_text("nq 8, nv 7, nu 1")
-    expect(facts.locator("dt:text-is('actuators') + dd")).to_have_text("elbow [-0.5, 1.5]")
-    expect(facts.locator("dt:text-is('not mjx') + dd")).to_have_text(
-        "does not run it: Ellipsoids and boxes are not implemented."
+    expect(facts.locator("dt:text-is('Feet') + dd")).to_have_text("arm")
+    expect(facts.locator("dt:text-is('Pose') + dd")).to_have_text("the keyframe raised")
+    expect(facts.locator("dt:text-is('Engines') + dd")).to_have_text(
+        "native, compiled, with the recipe's edits"
     )
-    expect(facts.locator("dt:text-is('Chosen') + dd")).to_have_text("native on a CPU, warp on a GPU")
-    page.get_by_text("Trials beside C MuJoCo").click()
+    expect(facts.locator("dt:text-is('Mass') + dd")).to_have_text("1.1 kg")
+    page.get_by_text("Engines, as it is: native, warp").click()
+    expect(facts.locator("dt:text-is('mjx') + dd")).to_have_text(
+        "does not run it as it is: Ellipsoids and boxes are not implemented."
+    )
     expect(facts.locator("dt:text-is('native') + dd")).to_have_text(
         "the same to 1e-7 after 1 s (its code took 2 s to make)"
     )
+    expect(facts.locator("dt:text-is('Chosen') + dd")).to_have_text("native on a CPU, warp on a GPU")
+    page.get_by_text("Parts: joints 2, actuators 1").click()
+    expect(facts.locator("dt:text-is('Sizes') + dd")).to_contain_text("nq 8, nv 7, nu 1")
+    expect(facts.locator("dt:text-is('actuators') + dd")).to_have_text("elbow [-0.5, 1.5]")
     page.get_by_text("A job in which it learns to walk by command").click()
     expect(page.get_by_text("It has no keyframe.")).to_be_visible()
     expect(page.get_by_role("region", name="The job as JSON")).to_contain_text('"feet": [')
@@ -58,8 +68,9 @@ def test_a_model_is_sent_by_the_file_input_and_described(tab: Tab) -> None:
     file = {"name": "ball.xml", "mimeType": "text/xml", "buffer": XML}
     page.get_by_label(CHOOSER).set_input_files(file)  # pyright: ignore
     expect_the_ball(page)
-    assert tab.violations() == []
     tab.picture("models-described")
+    assert flaws(page) == []
+    tab.picture("models-narrow")
 
 
 @pytest.mark.extra
@@ -94,7 +105,7 @@ def test_the_document_of_a_zip_that_is_the_model_can_be_named(stack: Stack, tab:
     with worker(stack, status="ready", description=described):
         page.get_by_role("button", name="Send two.zip again").click()
         expect(page.get_by_role("status")).to_have_text("two.zip is there, read from b.xml.")
-    expect(page.get_by_text("Read from b.xml", exact=True)).to_be_visible()
+    expect(page.locator(".card").get_by_text("read from b.xml")).to_be_visible()
     (model,) = stack.store.models()
     assert examine(stack.objects.get(keys.model_source(model.id))).main == "b.xml"
     assert tab.violations() == []

@@ -70,6 +70,16 @@ def test_a_phase_is_told_at_once_but_not_each_evaluation() -> None:
     ]
 
 
+def test_what_lasts_minutes_only_once_says_so() -> None:
+    compiling = Event(kind="progress", data={"step": 0, "total": 1000, "phase": "compiling"})
+    testing = Event(kind="progress", data={"step": 1000, "total": 1000, "phase": "testing"})
+    assert shown(Event(kind="status", data={"status": "running"}), compiling, testing)[1:] == [
+        "running · compiling · 0/1,000 steps · "
+        "the first time may take minutes, a later start of the same job is shorter",
+        "running · testing in C MuJoCo · 1,000/1,000 steps",
+    ]
+
+
 def test_80_columns_have_room_for_the_bar_the_status_and_the_time_left() -> None:
     text = io.StringIO()
     numbers = {"eval/episode_reward": 1234.5, "eval/forward_speed": 1.0}

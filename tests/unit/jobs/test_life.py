@@ -567,6 +567,8 @@ def test_a_job_goes_on_in_environments_that_differ_further_but_in_nothing_else(s
     with pytest.raises(Rejected, match="randomizes geom_friction, this one nothing") as caught:
         service.submit(resume_from={"job": job.id})
     assert [problem.pointer for problem in caught.value.problems] == ["/randomization"]
+    with pytest.raises(Rejected, match="Only one of this job and the checkpoint's has a rule with `every_s`"):
+        service.submit(resume_from={"job": job.id}, randomization=[friction | {"every_s": 5.0}])
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,8 @@ def test_a_sensor_counts_against_an_engine_where_the_job_reads_it() -> None:
         return dict(engines_that_cannot(described, options))
 
     assert cannot([{"kind": "qpos"}]) == {"mjx": "No."}
+    stumbling = MjcfOptions.model_validate({"model": f"sha256:{'0' * 64}", "reward": [{"kind": "stumble"}]})
+    assert "the term `stumble` reads" in engines_that_cannot(described, stumbling)["compiled"]
     assert cannot([{"kind": "sensors", "names": ["angle"]}]) == {"mjx": "No."}
     for reads in ({"kind": "sensors", "names": ["imu"]}, {"kind": "sensors"}):
         assert cannot([reads])["compiled"].startswith(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
+from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.mjcf.check import problems
 from core.environments.terms.describe import inventory
@@ -19,6 +20,8 @@ from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.term import Term
 from core.environments.terms.terminations import AnyTermination
 from core.environments.terms.vocabulary import AnyReward
+from core.errors import Rejected
+from core.physics.availability import EngineName, check_physics, choose
 from tests.unit.environments.mjcf.probe import KEY, XML, build
 from tests.unit.environments.mjcf.test_check import PROBE, parsed
 from tests.unit.environments.mjcf.test_environment import NO_TORQUE, moving
@@ -150,6 +153,40 @@ def test_a_swing_is_timed_from_contact_to_contact(swing: list[dict[str, float]])
     forces = of("foot_contact_force")
     assert [force > 1 for force in forces] == [True, False, False, False, True, False]
     assert of("soft_landing") == [0, 0, 0, 0, -forces[4], 0]
+
+
+def stumbles(folder: Path, engine: EngineName, degrees: float) -> list[list[float]]:
+    """How `stumble` counts with ratios of 3.5 and 5, above a slope and on it.
+
+    Without friction, the force is along the slope's normal.
+    """
+    floor = '<geom name="floor" type="plane" size="5 5 1"/>'
+    slope = floor.replace("/>", f' euler="0 {degrees} 0" condim="1"/>')
+    xml = XML.decode().replace(floor, slope).replace('size="0.1" mass', 'size="0.1" condim="1" mass')
+    reward = [{"kind": "stumble", "ratio": ratio, "name": f"r{ratio:.0f}"} for ratio in (3.5, 5.0)]
+    environment = build(folder, xml.encode(), engine, feet=["ball"], reward=reward, termination=[])
+    normal = np.array([np.sin(np.deg2rad(degrees)), 0, np.cos(np.deg2rad(degrees))])
+    step, state, found = jax.jit(environment.step), environment.reset(KEY), list[list[float]]()
+    for distance in (0.2, 0.09):
+        state = step(moving(state, qpos=[*distance * normal, 1, 0, 0, 0, 0], qvel=[0.0] * 7), NO_TORQUE)
+        found.append([-float(state.metrics[f"reward_r{name}"]) for name in (4, 5)])
+    return found
+
+
+@pytest.mark.parametrize(("degrees", "on_it"), [(0, [0, 0]), (75, [1, 0]), (80, [1, 1])])
+def test_a_foot_stumbles_against_what_is_steep(degrees: float, on_it: list[float], tmp_path: Path) -> None:
+    # The tangents, horizontal to vertical: 3.73 at 75° and 5.67 at 80°.
+    assert stumbles(tmp_path, "native", degrees) == [[0, 0], on_it]
+
+
+def test_an_engine_that_cannot_tell_the_direction_of_forces_is_refused_and_auto_takes_another() -> None:
+    row, _ = catalog.resolve("go1", {"reward": [{"kind": "stumble"}, {"kind": "track_linear_velocity"}]})
+    for engine in ("compiled", "mjx"):
+        with pytest.raises(Rejected, match=r"the term `stumble` reads .* which native and warp alone tell"):
+            check_physics(engine, row.cannot_run)
+    taken = [choose("auto", device, 4096, row.rules_on(device), row.cannot_run) for device in ("cpu", "gpu")]
+    assert [choice.name for choice in taken] == ["native", "warp"]
+    assert not catalog.resolve("go1", {})[0].cannot_run
 
 
 @pytest.mark.parametrize(

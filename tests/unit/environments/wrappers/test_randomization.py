@@ -1,17 +1,22 @@
 """Jobs whose environments differ in their models, and the models that they get."""
 
+from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
-from core.environments.randomization import FIELDS, Randomization
-from core.environments.wrappers.domain_randomization import NUM_MODELS, draw_models
+from core.environments.info import CRITIC_GROUP
+from core.environments.randomization import FIELDS, Randomization, Randomizations
+from core.environments.wrappers.domain_randomization import NUM_MODELS, draw_models, randomize
 from core.errors import JobFailed
 from core.physics.engine import CONSTANTS, MODEL_FIELDS
 from core.physics.model import brax_model
+from tests.unit.environments.mjcf.probe import KEY, build
 
 MODEL = mujoco.MjModel.from_xml_string(
     """
@@ -185,12 +190,67 @@ def test_a_body_without_room_for_another_centre_is_named() -> None:
         ({"names": []}, "at least 1"),
         ({"names": ["(floor"]}, "no regular expression"),
         ({"recompute_inertia": True}, "goes with body_mass"),
+        ({"every_s": 0}, "greater than 0"),
+        ({"field": "body_mass", "every_s": 5}, "body_mass stays the same in an episode"),
+        ({"field": "dof_armature", "every_s": 5}, "derives constants of the whole .*: leave every_s out"),
         ({"rnage": [0, 1]}, "not permitted"),
     ],
 )
 def test_what_does_not_go_together_is_refused(wrong: dict[str, Any], says: str) -> None:
     with pytest.raises(ValidationError, match=says):
         Randomization.model_validate({"field": "geom_friction", "range": [0.5, 1], **wrong})
+
+
+@pytest.mark.parametrize(
+    ("second", "says"),
+    [
+        ({"field": "geom_friction"}, "rules 0 and 1 change 'geom_friction', so every_s must be the same"),
+        ({"field": "dof_damping", "draw": "a"}, "rules 0 and 1 share the draw 'a'"),
+        ({"field": "dof_damping", "draw": "a", "every_s": 4.0}, "rules 0 and 1 share the draw 'a'"),
+    ],
+)
+def test_rules_that_act_together_act_at_the_same_times(second: dict[str, Any], says: str) -> None:
+    first = {"field": "geom_friction", "range": [0.5, 1], "draw": "a", "every_s": 5.0}
+    with pytest.raises(ValidationError, match=says):
+        TypeAdapter(Randomizations).validate_python([first, {"range": [0.5, 1], **second}])
+
+
+def test_a_running_episode_gets_new_numbers_after_each_interval(tmp_path: Path) -> None:
+    friction = {"field": "geom_friction", "names": ["sphere"], "axis": 0}
+    seen = [{"kind": "projected_gravity"}]
+    inner = build(tmp_path, observation=seen, critic=[*seen, {"kind": "randomized", **friction}])
+    rules = [
+        rule("geom_friction", 0.5, 1.5, names=["sphere"], axis=0, every_s=0.02),
+        rule("opt.gravity", -0.3, 0.3, axis=2, operation="add", every_s=0.03),
+        rule("dof_damping", 0.1, 0.2, names=["elbow"], operation="set"),
+    ]
+    environment = randomize(inner, rules)
+    states = jax.vmap(environment.reset)(jax.random.split(KEY, 8))
+    step = jax.jit(jax.vmap(environment.step))
+    shown = list[dict[str, np.ndarray]]()
+    for _ in range(7):
+        states = step(states, jnp.zeros((8, 1)))
+        own = states.physics.model
+        frictions = np.asarray(own["geom_friction"][:, inner.model.geom("sphere").id, 0])
+        # The critic sees the values of the step: the sphere's friction is 1 in the model.
+        np.testing.assert_allclose(states.obs[CRITIC_GROUP][:, 3], frictions - 1, atol=1e-6)
+        gravity, damping = own["opt.gravity"][:, 2], own["dof_damping"][:, 6]
+        shown.append({"friction": frictions, "gravity": np.asarray(gravity), "damping": np.asarray(damping)})
+    # Steps of 0.01 s: those that make a new value are every second one, every third one, and none.
+    for name, new in (("friction", [2, 4, 6]), ("gravity", [3, 6]), ("damping", [])):
+        for number in range(1, 7):
+            before, now = shown[number - 1][name], shown[number][name]
+            assert (before != now).all() if number in new else (before == now).all(), (name, number)
+        assert len(np.unique(shown[-1][name])) == 8  # each environment has its own
+    every = {name: np.stack([one[name] for one in shown]) for name in shown[0]}
+    for name, low, high in (("friction", 0.5, 1.5), ("gravity", -0.3, 0.3), ("damping", 0.1, 0.2)):
+        assert low - 1e-5 <= every[name].min() < every[name].max() <= high + 1e-5, name
+
+
+def test_an_environment_without_intervals_carries_no_clock(tmp_path: Path) -> None:
+    inner = build(tmp_path)
+    plain = randomize(inner, [rule("geom_friction", 0.5, 1.5)]).reset(KEY)
+    assert set(plain.info) == set(inner.reset(KEY).info)
 
 
 def test_every_field_has_its_shape_and_is_one_that_engines_take() -> None:

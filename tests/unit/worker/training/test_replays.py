@@ -10,6 +10,7 @@ from typing import Any, cast
 import mujoco
 import pytest
 
+from core.jobs.spec import EnvironmentSpec, RandomPolicy, RolloutSpec, TrainSpec
 from core.rendering.replay.replay_file import read_replay
 from tests.unit.rendering.conftest import BALL, rolling_ball
 from worker.training import exports, video
@@ -73,6 +74,15 @@ def test_a_body_that_cannot_be_shown_costs_no_job(
     writer(events).keep([rolling_ball(0.1)], "", None)
     [note] = said(read)
     assert (note["type"], note["text"]) == ("note", "There is no replay: KeyError: 'float64'")
+
+
+def test_a_video_that_was_not_ready_leaves_the_replay_and_a_way_to_get_one() -> None:
+    late = "The video was not ready within 120 s."
+    training = TrainSpec(environment=EnvironmentSpec(id="ant"))
+    rollout = RolloutSpec(environment=EnvironmentSpec(id="ant"), policy=RandomPolicy())
+    said = f"There is no video: {late} The replay on the job's page shows the same episodes"
+    assert video.no_video(late, rollout) == f"{said}."
+    assert video.no_video(late, training) == f"{said}; `gaitway rollout JOB` draws a video later."
 
 
 def test_replays_take_a_small_share_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -378,6 +378,7 @@ def test_a_refusal_of_compiled_names_the_edits_that_help_and_there_is_a_recipe(t
     assert why.endswith('Or let less of it collide: `edits` {"floor": true, "collide": "floor"}.')
     assert found.recipe is not None
     assert found.recipe["edits"]["feet"] == ["left", "right"]
+    assert found.recipe_engines == {"native": None, "compiled": None}
 
 
 def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(
