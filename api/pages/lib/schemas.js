@@ -36,6 +36,12 @@ export function withoutNull(schema, all) {
   return { schema: { ...resolve(forms[0], all), ...own }, isNullable };
 }
 
+/** The form of an object for which `true` may stand, as its defaults; null where there is no such choice. */
+export function orTrue({ anyOf = [] }, all) {
+  const form = anyOf.length === 2 && anyOf.some(({ type }) => type === "boolean") && resolve(anyOf.find(({ type }) => type !== "boolean"), all);
+  return form && form.properties ? form : null;
+}
+
 /**
  * The forms that a list's items may have, by the value of the field that tells them apart, `tag`; null where items
  * are no objects. Items of a single form may have no such field.

@@ -2,7 +2,7 @@
 
 import { at, put } from "../lib/draft.js";
 import { html, useId, useState } from "../lib/html.js";
-import { beyondDefaults, boundsOf, itemsOf, resolve, withoutNull } from "../lib/schemas.js";
+import { beyondDefaults, boundsOf, itemsOf, orTrue, resolve, withoutNull } from "../lib/schemas.js";
 import { Prose } from "./elements.js";
 import { ByName, Names, partsNamed } from "./names.js";
 import { Rows } from "./rows.js";
@@ -26,6 +26,8 @@ export function Field(field) {
   if (schema.const !== undefined && path.length > 1) return null;
   if (schema.oneOf && schema.discriminator) return html`<${Choice} ...${inner} />`;
   if (schema.properties) return html`<${Group} ...${inner} />`;
+  const whole = orTrue(schema, all);
+  if (whole) return html`<${Group} ...${inner} schema=${{ ...whole, description: schema.description }} isBare />`;
   if (itemsOf(schema, all)) return html`<${Rows} ...${inner} items=${itemsOf(schema, all)} />`;
   return html`<${Input} ...${inner} />`;
 }
@@ -51,24 +53,30 @@ function settingWhole({ document, set, path, schema, planned, isFilled }) {
 const beginning = (whole, path, set) => (inner, value) =>
   value !== undefined && set(path, inner.length > path.length ? put(whole, inner.slice(path.length), value) : value);
 
+/** `set` for the fields of an object for which `true` stands while nothing is said in it. */
+const settingBare = ({ document, set, path }) => (inner, value) => {
+  const next = put(Object(at(document, path)), inner.slice(path.length), value);
+  set(path, Object.keys(next).length ? next : true);
+};
+
 // Of a long group, the fields after these are folded.
 const SHOWN = 10;
 
 /**
  * Several fields; folded unless the document says something about them or has an error there.
- * first: the names of those that come first. numShown: how many are not folded.
+ * first: the names of those that come first. numShown: how many are not folded. isBare: `true` stands for it.
  */
 export function Group(field) {
-  const { document, set, errors, path, schema, name, isNullable, isOpen, isFilled, numShown = SHOWN } = field;
+  const { document, set, errors, path, schema, name, isNullable, isOpen, isFilled, isBare, numShown = SHOWN } = field;
   const said = at(document, path);
-  const isOff = said === null || (said === undefined && isNullable && field.planned === null);
+  const isOff = said === null || said === false || (said === undefined && isNullable && field.planned === null);
   const has = said !== undefined || errors.some(({ pointer }) => pointer.startsWith(`/${path.join("/")}`));
   // An object that is said replaces what was planned.
   const planned = said === undefined || isFilled ? field.planned : undefined;
   const first = field.first || [];
   const known = Object.keys(schema.properties).filter((each) => schema.properties[each].const === undefined);
   const names = [...first.filter((each) => known.includes(each)), ...known.filter((each) => !first.includes(each))];
-  const handed = { ...shared(field), set: settingWhole(field) };
+  const handed = { ...shared(field), set: isBare ? settingBare(field) : settingWhole(field) };
   const draw = (each) => html`<${Field} key=${each} ...${handed} path=${[...path, each]} schema=${schema.properties[each]} planned=${planned?.[each]} isRequired=${schema.required?.includes(each)} />`;
   const rest = names.slice(numShown);
   const isRestSaid = rest.some((each) => said?.[each] !== undefined || errors.some(({ pointer }) => pointer.startsWith(`/${[...path, each].join("/")}`)));
@@ -77,7 +85,7 @@ export function Group(field) {
   const content = html`
     ${schema.description && html`<p class="facts"><${Prose} text=${schema.description} /></p>`}
     <${Wrong} errors=${[...errorsAt(errors, path), ...elsewhere]} />
-    ${isNullable && html`<label class="tools"><span><input type="checkbox" checked=${!isOff} onChange=${(event) => set(path, offOrOn(event.target.checked, field.planned))} /> ${" "}with ${words(name)}</span></label>`}
+    ${isNullable && html`<label class="tools"><span><input type="checkbox" checked=${!isOff} onChange=${(event) => set(path, offOrOn(event.target.checked, field.planned, isBare || {}))} /> ${" "}with ${words(name)}</span></label>`}
     ${!isOff && html`<div class="fields">${names.slice(0, numShown).map(draw)}</div>`}
     ${!isOff && rest.length > 0 && html`<details open=${isRestSaid}><summary>${rest.length} more</summary><div class="fields">${rest.map(draw)}</div></details>`}
   `;
@@ -86,7 +94,7 @@ export function Group(field) {
 }
 
 /** What to say so that an optional part is there, or is not. */
-const offOrOn = (isOn, planned) => (planned === null ? (isOn ? {} : undefined) : isOn ? undefined : null);
+const offOrOn = (isOn, planned, on) => (planned === null ? (isOn ? on : undefined) : isOn ? undefined : null);
 
 /** One of several forms, told apart by a field such as `kind`. */
 function Choice(field) {

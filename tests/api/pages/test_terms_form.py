@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.api.conftest import Stack
-from tests.api.pages.conftest import Tab
+from tests.api.pages.conftest import Tab, flaws
 from tests.api.test_models import DESCRIPTION, worker
 from tests.models import identity
 from tests.unit.environments.mjcf.probe import XML
@@ -43,6 +43,31 @@ OF_A_ROBOT: dict[str, Any] = {
 
 def sent(page: Page) -> dict[str, Any]:
     return json.loads(page.get_by_role("region", name="The submission as JSON").inner_text())
+
+
+def test_a_battery_is_ticked_and_has_fields(tab: Tab) -> None:
+    page = tab.open("#/submit?environment=go1")
+    battery = page.get_by_role("group").filter(has=page.get_by_text("battery", exact=True)).last
+    page.get_by_text("battery", exact=True).click()
+    battery.get_by_label("with battery").check()
+    assert sent(page)["battery"] is True
+    battery.get_by_label("starts").fill("8")
+    battery.get_by_text("push", exact=True).click()
+    battery.get_by_label("with push").check()
+    battery.get_by_label("speed", exact=True).fill("1")
+    battery.get_by_text("bounds", exact=True).click()
+    battery.get_by_label("falls").fill("0.1")
+    expect(page.get_by_text("Checked: the service would take this.")).to_be_visible()
+    assert sent(page)["battery"] == {"starts": 8, "push": {"speed": 1}, "bounds": {"falls": 0.1}}
+    tab.picture("submit-battery")
+    for label in ("starts", "speed", "falls"):
+        battery.get_by_label(label, exact=True).fill("")
+    assert sent(page)["battery"] is True
+    assert flaws(page) == []
+    battery.scroll_into_view_if_needed()
+    tab.picture("submit-battery-narrow")
+    battery.get_by_label("with battery").uncheck()
+    assert "battery" not in sent(page)
 
 
 def test_terms_are_searched_changed_moved_and_checked(stack: Stack, tab: Tab) -> None:
@@ -131,6 +156,7 @@ def test_the_names_of_an_own_model_are_suggested(stack: Stack, tab: Tab) -> None
     ends.get_by_label("Add to termination").press("Enter")
     joints = ends.get_by_label("joints", exact=True)
     joints.fill("elbow")
+    expect(joints).to_have_attribute("list", re.compile("."))  # Once the service has told the model's parts.
     suggested = page.locator(f"[id='{joints.get_attribute('list')}'] option")
     assert "elbow" in [option.get_attribute("value") for option in suggested.all()]
     expect(ends.get_by_text("range: Field required")).to_be_visible()
