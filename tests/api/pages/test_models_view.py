@@ -94,6 +94,15 @@ def test_a_model_is_sent_by_a_drop_and_described(tab: Tab) -> None:
 
 
 @pytest.mark.extra
+def test_a_model_that_no_worker_reads_yet_says_what_it_waits_for(tab: Tab) -> None:
+    page = tab.open("#/models")
+    file = {"name": "ball.xml", "mimeType": "text/xml", "buffer": XML}
+    page.get_by_label(CHOOSER).set_input_files(file)  # pyright: ignore
+    said = "ball.xml waits for a worker to read it; a busy one does so after its job."
+    expect(page.get_by_role("status").filter(has_text=said)).to_be_visible()
+
+
+@pytest.mark.extra
 def test_the_document_of_a_zip_that_is_the_model_can_be_named(stack: Stack, tab: Tab) -> None:
     page = tab.open("#/models")
     file = {"name": "two.zip", "mimeType": "application/zip", "buffer": zipped({"a.xml": XML, "b.xml": XML})}

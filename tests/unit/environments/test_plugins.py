@@ -12,8 +12,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from core.environments import catalog
+from core.environments import catalog, plugins
 from core.environments.describe_bodies import bodies_of_plugin
 from core.environments.describe_terms import page_of_plugin
 from core.environments.plugins import LISTS, TABLE, Plugin, hold_only, load
@@ -24,6 +25,7 @@ from core.errors import EnvironmentNotFound, JobFailed, Rejected
 from core.jobs.job import Job
 from core.jobs.workers import how_to_install, packages_for, packages_here
 from core.physics.choose import engine_builder
+from gaitway.cli.main import app
 from tests.unit.jobs.making import make_job
 from worker.confinement.confinement import plugin_folders
 
@@ -193,3 +195,9 @@ def test_a_term_that_cannot_be_computed_ends_the_job_with_its_name(install: Inst
 def test_a_confined_process_may_read_a_package_that_lies_anywhere(install: Install, tmp_path: Path) -> None:
     install()
     assert list(plugin_folders()) == [tmp_path / "mylab" / "mylab"]
+
+
+def test_without_a_package_the_list_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plugins, "installed", tuple)
+    listed = CliRunner().invoke(app, ["plugins"])
+    assert (listed.exit_code, listed.stdout) == (0, "No package here adds terms or bodies.\n")

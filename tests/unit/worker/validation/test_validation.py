@@ -162,6 +162,8 @@ def test_a_body_without_a_floor_is_described_with_a_word_about_that(tmp_path: Pa
         (tmp_path / "model").write_bytes(body)
         notes = next(findings(tmp_path / "model")).notes
         assert (len(notes), " ".join(notes)[: len(said)]) == (bool(said), said)
+        remedy = '`edits` {"floor": true} puts one below it, as its recipe does.'
+        assert " ".join(notes).endswith(remedy) == bool(said)
 
 
 def first_findings(body: bytes, folder: Path) -> Description:
