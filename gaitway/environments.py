@@ -15,6 +15,14 @@ from core.environments.info import Slice, named
 from core.environments.options import Range, Weight
 from core.environments.patterns import PATTERNS, Pattern, Patterns
 from core.environments.plugins import Body
+from core.environments.terms.actions import ActionTerm
+from core.environments.terms.commands import (
+    CommandRange,
+    CommandTerm,
+    EventTerm,
+    PositionCommand,
+    VelocityCommand,
+)
 from core.environments.terms.inventory import Inventory, ModelParts
 from core.environments.terms.metrics import MetricTerm
 from core.environments.terms.observations import ObservationTerm
@@ -45,12 +53,16 @@ else:
 
 __all__ = [
     "PATTERNS",
+    "ActionTerm",
     "Array",
     "Body",
+    "CommandRange",
+    "CommandTerm",
     "ContactCount",
     "ContactForce",
     "CostTerm",
     "Direction",
+    "EventTerm",
     "Interval",
     "Inventory",
     "MetricTerm",
@@ -67,6 +79,7 @@ __all__ = [
     "OfHeight",
     "Pattern",
     "Patterns",
+    "PositionCommand",
     "Range",
     "Reading",
     "RewardTerm",
@@ -75,6 +88,7 @@ __all__ = [
     "Term",
     "TerminationTerm",
     "Vector",
+    "VelocityCommand",
     "Weight",
     "named",
 ]

@@ -161,7 +161,11 @@ def _place(error: Mapping[str, Any], options: object) -> tuple[int | str, ...]:
 
 
 def _message(error: Mapping[str, Any]) -> str:
-    tag = str(error["ctx"]["tag"]) if error["type"] == "union_tag_invalid" else ""
+    tag = ""
+    if error["type"] == "union_tag_invalid":
+        tag = str(error["ctx"]["tag"])
+    elif error["type"] == "literal_error" and error["loc"][-1] == "kind":  # Of a list with one kind.
+        tag = str(error["input"])
     return why_unknown(tag, PLUGINS).removesuffix(".") if "/" in tag else error["msg"]
 
 

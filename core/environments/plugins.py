@@ -27,9 +27,10 @@ from core.environments.mjcf.check import problems
 from core.environments.mjcf.edit_options import HOME, ModelEdits
 from core.environments.robots.info import ROBOTS, robot_page
 from core.environments.robots.robot import Robot
+from core.environments.terms.actions import ACTIONS
+from core.environments.terms.commands import COMMANDS, EVENTS
 from core.environments.terms.inventory import OF_PLUGINS, Inventory
 from core.environments.terms.metrics import METRICS
-from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.rewards import Healthy
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.term import Kinds, Term
@@ -46,6 +47,9 @@ LISTS: Mapping[str, Kinds] = {
     "observation": OBSERVATIONS,
     "termination": TERMINATIONS,
     "metrics": METRICS,
+    "action": ACTIONS,
+    "command": COMMANDS,
+    "events": EVENTS,
 }
 # Names of what environments and workers' packages are called already.
 _TAKEN = {"gaitway", "playground", "brax", "biorobot", "dm_control", "llvmlite", "mjlab", "warp"}
@@ -204,11 +208,9 @@ def _terms(plugin: str, module: ModuleType) -> Iterator[type[Term]]:
             raise BadPlugin(f'The kind of {value.__name__} is {kind!r}: call it "{plugin}/…", in lower case.')
         if (option, kind) in kinds:
             raise BadPlugin(f"Two terms of `{option}` are of the kind {kind}.")
-        wanted = ("measure", "size", "slices") if issubclass(value, ObservationTerm) else ("measure",)
-        base = ObservationTerm if issubclass(value, ObservationTerm) else Term
-        for method in wanted:
-            if getattr(value, method) is getattr(base, method):
-                raise BadPlugin(f"The term {value.__name__} has no method `{method}`.")
+        for method in LISTS[option].methods:
+            if getattr(value, method, None) is getattr(LISTS[option].base, method, None):
+                raise BadPlugin(f"The {value.noun} {value.__name__} has no `{method}`.")
         TypeAdapter(value).json_schema()
         kinds.add((option, kind))
         yield value

@@ -20,10 +20,10 @@ from core.environments.random_start import RandomStart
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times, history
-from core.environments.terms.actions import AnyAction, ControlAction, JointAction
+from core.environments.terms.actions import ActionTerm, AnyAction, ControlAction, JointAction
 from core.environments.terms.actuation import actuation
-from core.environments.terms.binding import bound
-from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
+from core.environments.terms.binding import BoundTerm, bound
+from core.environments.terms.commands import CommandTerm, PositionCommand, VelocityCommand
 from core.environments.terms.describe import height_of, root_of
 from core.environments.terms.feet import feet_of
 from core.environments.terms.foot_times import FIELDS
@@ -89,8 +89,21 @@ class TaskEnv(MujocoEnv):
         if isinstance(options.action, JointAction):
             self._actuation = actuation(options.action, model, start)
         num_actions = model.nu if self._actuation is None else len(self._actuation.actuators)
+        if isinstance(options.action, ActionTerm):
+            num_actions = len(options.action.names(parts))
         feet, num_commands = feet_of(model, options.feet, start), len(parts_of(options, parts).command)
         named = ModelIndex(model, root, start, feet, num_commands, num_actions)
+        self._draw = self._tell = None
+        if options.command is not None:
+            self._draw, self._tell = _commanded(options.command, named)
+            named = replace(named, num_targets=self._draw.size)
+        self._controls = None
+        if isinstance(options.action, ActionTerm):
+            self._controls = bound(options.action, named, "controls", np.zeros(num_actions), size=model.nu)
+        self._events = [
+            bound(event, named, "drawn", np.zeros(event.num_random), size=model.nv)
+            for event in options.events
+        ]
         paid = options.reward or _default_reward()
         self._names = metric_names(paid)
         self._weights = [term.sign * term.weight for term in paid]
@@ -112,7 +125,9 @@ class TaskEnv(MujocoEnv):
         self._metrics = [bound(term, named) for term in reported(options)]
         read_by_feet = FIELDS if "foot_times" in self._memory else ()
         groups = [self._policy, *([self._critic] if self._critic else [])]
-        read = (part.derived for part in (*self._rewards, *groups, *self._ends, *self._metrics))
+        changing = [part for part in (self._draw, self._tell, self._controls) if part is not None]
+        read_by = (*self._rewards, *groups, *self._ends, *self._metrics, *self._events, *changing)
+        read = (part.derived for part in read_by)
         fields = set[str](read_by_feet).union(*read)
         engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=settings.solver)
         super().__init__(model, engine, num_substeps=frames, observation_size=0, tracked_body=root)
@@ -159,7 +174,7 @@ class TaskEnv(MujocoEnv):
             info["key"] = jax.random.key_data(jax.random.fold_in(key, _OF_THE_EPISODE))
             info["steps"] = jnp.zeros((), jnp.int32)
         if options.command:
-            info |= self._carried(options.command, self._drawn(options.command, info, step), step)
+            info |= self._carried(self._drawn(options.command, info, step), step)
             if command is not None:
                 info["command"] = jnp.concatenate([command, info["command"][command.size :]])
         if options.gait:
@@ -194,7 +209,10 @@ class TaskEnv(MujocoEnv):
         before = self._pushed(state.physics, info)
         arrived, entries = self._arrived(action, info)
         info |= entries
-        control = self._followed(self._control(arrived), info)
+        if self._controls is None:
+            control = self._followed(self._control(arrived), info)
+        else:
+            control = jnp.float32(self._controls.measure(self._at(before, info), arrived))
         physics = self._moved(before, control)
         carried = ("previous_action", "command", "target", "start")
         previous, command, target, start = (info.get(name) for name in carried)
@@ -220,19 +238,20 @@ class TaskEnv(MujocoEnv):
             before_it = info["target" if command.follows else "command"]
             fresh = self._drawn(command, info, step)
             due = jnp.where(self._is_due(info, command.every_s), fresh, before_it)
-            info |= self._carried(command, due, step)
+            info |= self._carried(due, step)
         return self._after(step, info)
 
-    def _drawn(self, command: AnyCommand, info: Mapping[str, jax.Array], step: Step) -> jax.Array:
-        return command.drawn(self._uniform(info, command.num_random, 0), step, self._parts)
+    def _drawn(self, command: CommandTerm, info: Mapping[str, jax.Array], step: Step) -> jax.Array:
+        assert self._draw is not None  # noqa: S101 - there is a command
+        return jnp.float32(self._draw.measure(step, self._uniform(info, command.num_random, 0)))
 
-    def _carried(self, command: AnyCommand, drawn: jax.Array, step: Step) -> dict[str, jax.Array]:
+    def _carried(self, drawn: jax.Array, step: Step) -> dict[str, jax.Array]:
         """What is carried of a command after a step."""
         if self._command is not None:
             return {"command": self._command}
-        if not command.follows:
+        if self._tell is None:
             return {"command": drawn}
-        return {"target": drawn, "command": command.told(drawn, step, self._parts)}
+        return {"target": drawn, "command": jnp.float32(self._tell.measure(step, drawn))}
 
     @property
     def recorded(self) -> Mapping[str, str]:
@@ -242,7 +261,7 @@ class TaskEnv(MujocoEnv):
                 return {"command": "command"}
             case PositionCommand():
                 return {"target": "target"}
-            case None:
+            case _:
                 return {}
 
     @property
@@ -326,13 +345,17 @@ class TaskEnv(MujocoEnv):
 
     def _pushed(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> PhysicsState:
         """The physics after the events of this step."""
-        nothing = jnp.zeros(self.action_size)
-        for number, event in enumerate(self._options.events):
-            step = Step(physics, physics, nothing, nothing, self.dt, jnp)
-            change = event.drawn(self._uniform(info, event.num_random, 3 + number), step)
+        for number, (event, term) in enumerate(zip(self._options.events, self._events, strict=False)):
+            uniform = self._uniform(info, event.num_random, 3 + number)
+            change = term.measure(self._at(physics, info), uniform)
             change = jnp.where(self._is_due(info, event.every_s), change, 0.0)
-            physics = replace(physics, qvel=physics.qvel.at[self._parts.root_velocities].add(change))
+            physics = replace(physics, qvel=physics.qvel + change)
         return physics
+
+    def _at(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> Step:
+        """A step that has not begun, for what changes how it begins."""
+        nothing, command, target = jnp.zeros(self.action_size), info.get("command"), info.get("target")
+        return Step(physics, physics, nothing, nothing, self.dt, jnp, command, target)
 
     def _is_due(self, info: Mapping[str, jax.Array], every_s: float) -> jax.Array:
         return info["steps"] % max(1, round(every_s / self.dt)) == 0
@@ -347,7 +370,7 @@ class TaskEnv(MujocoEnv):
     def simulation(self) -> Simulation:
         command = self._options.command
         if command is not None and not isinstance(command, VelocityCommand):
-            raise NotSimulated("it is told points, and the page tells velocities")
+            raise NotSimulated(f"its command is of the kind {command.kind}, and the page tells velocities")
         ranges = () if command is None else command.ranges
         if self._grid is None:
             return simulation_of(self, self._spec, ranges)
@@ -406,6 +429,15 @@ def solver_settings(options: TaskOptions) -> SolverSettings:
     return SolverSettings(
         options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
     )
+
+
+def _commanded(command: CommandTerm, model: ModelIndex) -> tuple[BoundTerm, BoundTerm | None]:
+    """How a command is drawn, and what is told after that; None: what was drawn."""
+    size, random = None if command.follows else model.num_commands, np.zeros(command.num_random)
+    draw = bound(command, model, "drawn", random, size=size)
+    if not command.follows:
+        return draw, None
+    return draw, bound(command, model, "told", np.zeros(draw.size), size=model.num_commands)
 
 
 def _terrain(

@@ -28,7 +28,7 @@ from core.compilation import compiling
 from core.environments.environment import State, Wrapped
 from core.environments.patterns import matching_in_turn
 from core.environments.task import TaskEnv
-from core.environments.terms.actions import JointAction
+from core.environments.terms.actions import ActionTerm, JointAction
 from core.environments.terms.actuation import actuation
 from core.environments.terms.commands import VelocityCommand
 from core.environments.terms.task import TaskOptions
@@ -151,6 +151,8 @@ def _acted_on(options: TaskOptions, model: mujoco.MjModel) -> tuple[np.ndarray, 
         found = actuation(options.action, model, model.qpos0)
         is_target = np.array([kind == "position" for kind in found.kinds])
         return found.actuators, np.where(is_target, found.gain, np.nan)[found.actuators]
+    if isinstance(options.action, ActionTerm):
+        return np.array([], int), np.array([])
     return np.arange(model.nu), np.full(model.nu, np.nan)
 
 

@@ -11,6 +11,7 @@ from core.environments.info import Slice
 from core.environments.mjcf import action_check
 from core.environments.mjcf.unmatched import instead_of, no_keyframe, unmatched, unmatched_by
 from core.environments.randomization import FIELDS
+from core.environments.terms.actions import JointPart
 from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
 from core.environments.terms.inventory import Inventory, Kind, ModelParts
 from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture, VariablePosture
@@ -34,6 +35,8 @@ _JOINT = "hinge or slide"
 _TOUCHING = "body with a geom that can touch anything"
 # A model may have thousands of parts, so only the first wrong names are compared with them.
 _MAX_HINTS = 3
+# Their `joints` are patterns.
+_BY_PATTERN = JointPositions | JointVelocities | OutsideJointRange | JointPart
 # The fields of terms that name parts of the model, and the kind of part.
 _NAMING: dict[str, Kind] = {
     "body": "body",
@@ -168,11 +171,7 @@ def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     }
     for pointer, term in _terms(options):
         for need in sorted(term.needed - {need for need, is_there in has.items() if is_there}):
-            yield Problem(pointer, f"The term {term.label} needs {_NEEDED[need].format(**words)}.")
-    if options.events and not has["free_root"]:
-        yield Problem(f"{_OPTIONS}/events", f"A push needs {_NEEDED['free_root'].format(**words)}.")
-    if options.command is not None and not has["free_root"]:
-        yield Problem(f"{_OPTIONS}/command", f"A command needs {_NEEDED['free_root'].format(**words)}.")
+            yield Problem(pointer, f"The {term.noun} {term.label} needs {_NEEDED[need].format(**words)}.")
     yield from _of_unread_command(options)
     if options.reset.moves_root and not has["free_root"]:
         for part in ("pose", "velocity", "fallen"):
@@ -247,6 +246,10 @@ def _terms(options: TaskOptions) -> Iterator[tuple[str, Term]]:
             here = f"{_OPTIONS}/{field}/{number}"
             yield here, term
             yield from ((f"{here}/unless/{place}", inner) for place, inner in enumerate(term.inner))
+    if options.command is not None:
+        yield f"{_OPTIONS}/command", options.command
+    yield f"{_OPTIONS}/action", options.action
+    yield from ((f"{_OPTIONS}/events/{number}", event) for number, event in enumerate(options.events))
 
 
 def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
@@ -314,11 +317,11 @@ def _of_randomized(term: Randomized, pointer: str, parts: _Parts) -> Iterator[Pr
 
 def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:
     for field, kind in _NAMING.items():
-        if field == "joints" and isinstance(term, JointPositions | JointVelocities | OutsideJointRange):
-            continue  # These are patterns.
-        if (field == "bodies" and isinstance(term, OfBodyContact)) or _declares(term, field):
+        if field == "joints" and isinstance(term, _BY_PATTERN):
             continue
-        named: str | list[str] | None = getattr(term, field, None)
+        if (field == "bodies" and isinstance(term, OfBodyContact)) or not _has_of_ours(term, field):
+            continue
+        named: str | list[str] | None = getattr(term, field)
         if isinstance(named, list):
             for number, name in enumerate(named):
                 yield from _of_name(name, f"{pointer}/{field}/{number}", kind, parts)
@@ -334,10 +337,10 @@ def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:
         yield Problem(pointer, "None of the model's actuators has a state (na = 0).")
 
 
-def _declares(term: Strict, field: str) -> bool:
-    """Whether a package's term has declared the field itself, which then means what that term says."""
+def _has_of_ours(term: Strict, field: str) -> bool:
+    """Whether the term has the field, and from a class of ours: one of a package means what that says."""
     parts = (part for part in type(term).__mro__ if part.__module__.partition(".")[0] != "core")
-    return any(field in get_annotations(part) for part in parts)
+    return field in type(term).model_fields and not any(field in get_annotations(part) for part in parts)
 
 
 def _of_root(root: str, pointer: str, parts: _Parts) -> Iterator[Problem]:

@@ -1,22 +1,27 @@
 """How a policy's action becomes the actuators' controls."""
 
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from core.bounds import Real
 from core.documents import Strict
 from core.environments.patterns import PATTERNS, Patterns, PerName, matching
-from core.environments.terms.inventory import ActuatorKind
-from core.environments.terms.term import DELAY, Delay
+from core.environments.terms.inventory import ActuatorKind, Inventory
+from core.environments.terms.term import DELAY, Array, Delay, Kinds, Term
+
+if TYPE_CHECKING:
+    from core.environments.terms.step import ModelIndex, Step
 
 _SCALE = f"One number, or by joint. {PATTERNS}"
 
 
-class Action(Strict):
+class Action(Term):
     """What happens to an action before it is a control: it comes late, is smoothed, and pushes as far as the
     motor can. Terms see the policy's own action."""
+
+    noun = "action"
 
     delay: Delay | None = Field(default=None, description=f"After which an action arrives. {DELAY}")
     smoothing: float = Field(
@@ -30,6 +35,21 @@ class Action(Strict):
         description="In each control step, a servo with a `velocity_limit` pushes at most as its motor can "
         "at the speed that the joint has when the step begins.",
     )
+
+
+class ActionTerm(Action):
+    """An action of a package, whose numbers are no joints'."""
+
+    def names(self, model: Inventory) -> Sequence[str]:
+        """Of its numbers. What the term names is in the model."""
+        raise NotImplementedError
+
+    def controls(self, action: Array, step: "Step", model: "ModelIndex") -> Array:
+        """The controls [nu] of an action [n]. step: `after` is what is before the step that they move."""
+        raise NotImplementedError
+
+
+ACTIONS = Kinds(ActionTerm, "names", "controls")
 
 
 class ControlAction(Action):
@@ -156,6 +176,5 @@ class MixedAction(JointAction):
 
 
 AnyAction = Annotated[
-    ControlAction | JointPositionAction | JointVelocityAction | JointEffortAction | MixedAction,
-    Field(discriminator="kind"),
+    ControlAction | JointPositionAction | JointVelocityAction | JointEffortAction | MixedAction, ACTIONS
 ]

@@ -18,15 +18,22 @@ from core.reasons import Reason
 
 @dataclass(frozen=True)
 class BoundTerm:
-    """derived: the fields that it reads. size: how many numbers it has. measure: its value, [] or [n]."""
+    """derived: the fields that it reads. size: how many numbers it has. measure: its value, [] or [n], in a
+    step and for what else its method takes."""
 
     derived: frozenset[str]
     size: int
-    measure: Callable[[Step], Array]
+    measure: Callable[..., Array]
 
 
-def bound(term: Term, model: ModelIndex) -> BoundTerm:
-    """The term of this model, after it has been evaluated in the model's own state."""
+def bound(
+    term: Term, model: ModelIndex, method: str = "measure", *given: np.ndarray, size: int | None = None
+) -> BoundTerm:
+    """The term of this model, after a method of it has been evaluated in the model's own state.
+
+    given: the method's arguments before the step. size: how many numbers the value must have. Raises
+    JobFailed where the code of a plugin's term fails.
+    """
     data = mujoco.MjData(model.model)
     mujoco.mj_forward(model.model, data)
     derived = _Noted(data)
@@ -36,27 +43,31 @@ def bound(term: Term, model: ModelIndex) -> BoundTerm:
     step = Step(
         physics, physics, nothing, nothing, 1.0, np,
         command=np.zeros(model.num_commands),
-        target=np.zeros(2),
+        target=np.zeros(model.num_targets),
         phases=each_foot,
         start=np.zeros(3),
         foot_times=FootTimes(*[each_foot] * 5),
         earlier_action=nothing,
         control=np.zeros(model.model.nu),
     )  # fmt: skip
-    measure = partial(_measured, term, model)
-    size = np.size(measure(step))
-    return BoundTerm(frozenset(derived.read), size, measure)
+    measure = partial(_measured, term, model, method)
+    number = np.size(measure(step, *given))
+    if size is not None and number != size:
+        detail = f"The {term.noun} {term.label} gives {number} numbers by `{method}`, and should give {size}."
+        raise JobFailed(Reason.BAD_MODEL, detail)
+    return BoundTerm(frozenset(derived.read), number, measure)
 
 
-def _measured(term: Term, model: ModelIndex, step: Step) -> Array:
+def _measured(term: Term, model: ModelIndex, method: str, step: Step, *given: Array) -> Array:
     """The term's value. Raises JobFailed where the code of a plugin's term fails."""
     try:
-        return term.measure(step, model)
+        return getattr(term, method)(*given, step, model)
     except Exception as error:
         if "/" not in term.label:
             raise
         words = f"{type(error).__name__}: {error}".splitlines()[0][:500]
-        raise JobFailed(Reason.BAD_MODEL, f"The term {term.label} cannot be computed. {words}") from error
+        detail = f"The {term.noun} {term.label} cannot be computed. {words}"
+        raise JobFailed(Reason.BAD_MODEL, detail) from error
 
 
 class _Noted(Mapping[str, np.ndarray]):

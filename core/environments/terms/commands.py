@@ -1,12 +1,13 @@
 """What a policy is told to do, which changes within an episode."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from core.documents import Strict
-from core.environments.terms.term import Array, Interval
+from core.environments.terms.term import Array, Interval, Kinds, Term
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step
@@ -26,9 +27,46 @@ class CommandRange:
     high: float
 
 
-class VelocityCommand(Strict):
+class CommandTerm(Term):
+    """What a policy is told: numbers that are drawn anew every `every_s`, or that follow from those."""
+
+    noun = "command"
+
+    every_s: float = Field(default=5.0, gt=0, le=1000, description="Seconds after which there is a new one.")
+
+    @property
+    def ranges(self) -> Sequence[CommandRange]:
+        """Of its numbers, in their order."""
+        raise NotImplementedError
+
+    @property
+    def num_random(self) -> int:
+        """How many random numbers `drawn` takes."""
+        raise NotImplementedError
+
+    @property
+    def follows(self) -> bool:
+        """Whether what is told follows in each step from what was drawn, as `told` says."""
+        return False
+
+    def drawn(self, uniform: Array, step: "Step", model: "ModelIndex") -> Array:
+        """The numbers of a command [n], or from what they follow [m]. uniform: [num_random] random numbers in
+        [0, 1)."""
+        raise NotImplementedError
+
+    def told(self, target: Array, step: "Step", model: "ModelIndex") -> Array:
+        """The command [n] after a step. target: what was drawn, [m]."""
+        raise NotImplementedError
+
+
+COMMANDS = Kinds(CommandTerm, "ranges", "num_random", "drawn")
+
+
+class VelocityCommand(CommandTerm):
     """A velocity in the root's frame: forward and left in m/s, turn to the left in rad/s. With `height` and
     `pitch`, also how high the root is to be, in m, and how far to lean forward, in rad."""
+
+    needs = frozenset({"free_root"})
 
     kind: Literal["velocity"] = "velocity"
     forward: Interval = Field(default=(-1.0, 1.0), description="[lowest, highest] in m/s.")
@@ -51,7 +89,6 @@ class VelocityCommand(Strict):
     pitch: Interval | None = Field(
         default=None, description="[lowest, highest] in rad, forward; null: not told. It needs a height."
     )
-    every_s: float = Field(default=5.0, gt=0, le=1000, description="Seconds after which there is a new one.")
     standing: float = Field(default=0.1, ge=0, le=1, description="The share of commands to stand still.")
 
     @model_validator(mode="after")
@@ -103,11 +140,10 @@ class VelocityCommand(Strict):
         return xp.concatenate([target[:2], turn[None], target[3:number]])
 
 
-class PositionCommand(Strict):
+class PositionCommand(CommandTerm):
     """A point on the ground to reach, told as where it lies from the root: ahead and to the left, in m."""
 
-    num_random: ClassVar[int] = 3
-    follows: ClassVar[bool] = True
+    needs = frozenset({"free_root"})
 
     kind: Literal["position"] = "position"
     x: Interval = Field(
@@ -124,6 +160,14 @@ class PositionCommand(Strict):
         furthest = max(map(abs, self.x)) + max(map(abs, self.y))
         return [CommandRange(name, "m", -furthest, furthest) for name in ("ahead", "left")]
 
+    @property
+    def num_random(self) -> int:
+        return 3
+
+    @property
+    def follows(self) -> bool:
+        return True
+
     def drawn(self, uniform: Array, step: "Step", model: "ModelIndex") -> Array:
         """A point [2] in the world, in m. uniform: [num_random] random numbers in [0, 1)."""
         low, high = (step.array(ends) for ends in zip(self.x, self.y, strict=True))
@@ -138,24 +182,49 @@ class PositionCommand(Strict):
         return step.xp.stack([cosine * x + sine * y, cosine * y - sine * x])
 
 
-AnyCommand = Annotated[VelocityCommand | PositionCommand, Field(discriminator="kind")]
+AnyCommand = Annotated[VelocityCommand | PositionCommand, COMMANDS]
 
 
-class Push(Strict):
+class EventTerm(Term):
+    """What changes the body's velocities at once, every `every_s`.
+
+    num_random: how many random numbers `drawn` takes.
+    """
+
+    noun = "event"
+    num_random: ClassVar[int]
+
+    every_s: float = Field(default=8.0, gt=0, le=1000, description="Seconds from one to the next.")
+
+    def drawn(self, uniform: Array, step: "Step", model: "ModelIndex") -> Array:
+        """The change of the velocities [nv]. uniform: [num_random] random numbers in [0, 1). step: `after` is
+        what is before the change."""
+        raise NotImplementedError
+
+
+EVENTS = Kinds(EventTerm, "num_random", "drawn")
+
+
+class Push(EventTerm):
     """An event: the root's velocity changes at once, as by a shove."""
 
-    num_random: ClassVar[int] = 3
+    needs = frozenset({"free_root"})
+    num_random = 3
 
     kind: Literal["push"] = "push"
     every_s: float = Field(default=8.0, gt=0, le=1000, description="Seconds between two pushes.")
     speed: float = Field(default=0.5, ge=0, le=20, description="Uniform in ± this along x and y, in m/s.")
     turn: float = Field(default=0.0, ge=0, le=20, description="Uniform in ± this about z, in rad/s.")
 
-    def drawn(self, uniform: Array, step: "Step") -> Array:
-        """The change of the root's velocity [6]. uniform: [num_random] random numbers in [0, 1)."""
+    def drawn(self, uniform: Array, step: "Step", model: "ModelIndex") -> Array:
+        xp, root = step.xp, model.root_velocities
         x, y, turn = (2.0 * uniform - 1.0) * step.array((self.speed, self.speed, self.turn))
         zero = 0.0 * x
-        return step.xp.stack([x, y, zero, zero, zero, turn])
+        change = xp.stack([x, y, zero, zero, zero, turn])
+        return xp.concatenate([xp.zeros(root.start), change, xp.zeros(model.model.nv - root.stop)])
+
+
+AnyEvent = Annotated[Push, EVENTS]
 
 
 class GaitClock(Strict):

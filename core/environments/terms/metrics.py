@@ -25,7 +25,7 @@ class MetricTerm(Term):
     """`measure` is a number [] by the name of each metric."""
 
 
-METRICS = Kinds(MetricTerm)
+METRICS = Kinds(MetricTerm, "measure")
 
 
 class Travel(OfBody, MetricTerm):

@@ -87,7 +87,8 @@ class ModelIndex:
     """The model's parts by name. root: number of the body of the terms that name no body.
 
     pose: positions [nq] in which episodes begin, before noise. feet: in the order of the gait.
-    num_commands, num_actions: how many numbers a command has, and an action.
+    num_commands, num_targets, num_actions: how many numbers a command has, what it follows from, and an
+    action.
     """
 
     model: mujoco.MjModel
@@ -96,6 +97,7 @@ class ModelIndex:
     feet: Sequence[Foot]
     num_commands: int = 3
     num_actions: int = 0
+    num_targets: int = 2
 
     def body(self, name: str | None) -> int:
         return self.root if name is None else int(self.model.body(name).id)

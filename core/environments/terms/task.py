@@ -10,8 +10,14 @@ from core.documents import Strict
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces, in_order, named
 from core.environments.options import NoiseScale
 from core.environments.patterns import PATTERNS, Pattern, matching_in_turn
-from core.environments.terms.actions import AnyAction, ControlAction, JointAction
-from core.environments.terms.commands import AnyCommand, GaitClock, PositionCommand, Push, VelocityCommand
+from core.environments.terms.actions import ActionTerm, AnyAction, ControlAction, JointAction
+from core.environments.terms.commands import (
+    AnyCommand,
+    AnyEvent,
+    GaitClock,
+    PositionCommand,
+    VelocityCommand,
+)
 from core.environments.terms.inventory import Actuator, Inventory, ModelParts
 from core.environments.terms.metrics import (
     AnyMetric,
@@ -40,7 +46,7 @@ Critic = Annotated[list[AnyCriticObservation], Field(min_length=1, max_length=64
 Terminations = Annotated[list[AnyTermination], Field(max_length=64)] | None
 Metrics = Annotated[list[AnyMetric], Field(max_length=16)] | None
 Feet = Annotated[list[Pattern], Field(max_length=MOST_FEET)]
-Events = Annotated[list[Push], Field(max_length=16)]
+Events = Annotated[list[AnyEvent], Field(max_length=16)]
 
 
 class Reset(Strict):
@@ -213,10 +219,12 @@ def task_slices(options: TaskOptions, model: Inventory, unit_of_action: str | No
     return Spaces(in_order(seen), in_order(acts), in_order(by_critic))
 
 
-def acting(options: TaskOptions, model: Inventory) -> list[tuple[str, Actuator]]:
-    """The actuators that an action moves, by the names of its numbers."""
-    named = list(zip(model.acting, model.actuators, strict=True))
+def acting(options: TaskOptions, model: Inventory) -> Sequence[tuple[str, Actuator | None]]:
+    """The names of an action's numbers, each with the actuator that it moves; None: it is no actuator's."""
     action = options.action
+    if isinstance(action, ActionTerm):
+        return [(name, None) for name in action.names(model)]
+    named = list(zip(model.acting, model.actuators, strict=True))
     if not isinstance(action, JointAction):
         return named
     return [one for one in named if any(part.drives(one[1].joint or "") for part in action.parts)]
@@ -231,13 +239,16 @@ def varied(options: TaskOptions) -> Mapping[str, Any]:
     }
 
 
-def _ends(options: TaskOptions, actuator: Actuator) -> tuple[float | None, float | None]:
+def _ends(options: TaskOptions, actuator: Actuator | None) -> tuple[float | None, float | None]:
     """The controls that -1 and 1 set; those of servos are not known before the model is read."""
     if not isinstance(options.action, ControlAction):
         return None, None
     if not options.action.scaled:
         return -1.0, 1.0
-    return actuator.control_range or (-1.0, 1.0)  # Without a range, an action is the control itself.
+    return (actuator and actuator.control_range) or (
+        -1.0,
+        1.0,
+    )  # Without a range, an action is the control itself.
 
 
 def num_substeps(options: TaskOptions, timestep_s: float) -> int:
@@ -277,3 +288,5 @@ def reported(options: TaskOptions) -> Sequence[Term]:
             return [travel, DistanceFromStart(), FollowedCommand()]
         case PositionCommand():
             return [travel, DistanceFromStart(), FollowedPosition()]
+        case _:  # A package's.
+            return [travel, DistanceFromStart()]

@@ -66,12 +66,13 @@ Memory = Literal["earlier_action", "foot_times", "previous_action", "start"]
 
 
 class Term(Strict):
-    """A part of an observation, of a reward, or of what ends an episode.
+    """A part of a task.
 
-    needs: what else the task must have. remembers: what it reads of earlier steps. beyond: engines that
-    cannot read what it reads, and why.
+    noun: what messages call it. needs: what else the task must have. remembers: what it reads of earlier
+    steps. beyond: engines that cannot read what it reads, and why.
     """
 
+    noun: ClassVar[str] = "term"
     needs: ClassVar[frozenset[Need]] = frozenset()
     remembers: ClassVar[frozenset[Memory]] = frozenset()
     beyond: ClassVar[Mapping[EngineName, str]] = {}
@@ -104,14 +105,19 @@ class Kinds:
     """In an annotation of ours: a union of terms, told apart by their kinds, and those of packages besides.
 
     A pydantic model that holds such a union sees what is added later once it is built again.
+
+    base: of those of packages. methods: what each of these has to define.
     """
 
-    def __init__(self, base: type[Term]) -> None:
-        self.base = base
+    def __init__(self, base: type[Term], *methods: str) -> None:
+        self.base, self.methods = base, methods
         self.added: tuple[type[Term], ...] = ()
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        terms: Any = Union[(*get_args(source), *self.added)]
+        ours = get_args(source) or (source,)
+        if len(ours) + len(self.added) == 1:
+            return handler.generate_schema(source)
+        terms: Any = Union[(*ours, *self.added)]
         return handler.generate_schema(Annotated[terms, Field(discriminator="kind")])
 
 

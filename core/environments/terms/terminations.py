@@ -26,7 +26,7 @@ class TerminationTerm(Term):
     """`measure` is 1 where it ends the episode, otherwise 0; []."""
 
 
-TERMINATIONS = Kinds(TerminationTerm)
+TERMINATIONS = Kinds(TerminationTerm, "measure")
 
 
 class OutsideHeightRange(OfHeight, TerminationTerm):

@@ -11,7 +11,8 @@ from core.environments.terms.term import Kinds, RewardTerm
 from core.environments.terms.terrain import HeightScan
 from core.environments.terms.tracking import Command, TrackingReward
 
-REWARDS, OBSERVATIONS = Kinds(RewardTerm), Kinds(ObservationTerm)
+REWARDS = Kinds(RewardTerm, "measure")
+OBSERVATIONS = Kinds(ObservationTerm, "measure", "size", "slices")
 
 _Observation = NumbersOfMujoco | WalkingObservation | FootObservation | Command | HeightScan
 AnyObservation = Annotated[_Observation, OBSERVATIONS]

@@ -2,7 +2,9 @@
 
 from typing import Literal
 
-from gaitway.environments import Array, Body, CostTerm, ModelIndex, Step
+from pydantic import Field
+
+from gaitway.environments import PATTERNS, Array, Body, CostTerm, EventTerm, ModelIndex, Patterns, Step
 
 
 class UnevenPower(CostTerm):
@@ -16,6 +18,21 @@ class UnevenPower(CostTerm):
         return step.xp.max(power) - step.xp.mean(power)
 
 
+class Kick(EventTerm):
+    """The velocities of some joints change at once, all alike."""
+
+    num_random = 1
+
+    kind: Literal["mylab/kick"] = "mylab/kick"
+    joints: Patterns = Field(description=f"Those that are kicked. {PATTERNS}")
+    speed: float = Field(default=1.0, ge=0, le=20, description="Uniform in ± this, in rad/s.")
+
+    def drawn(self, uniform: Array, step: Step, model: ModelIndex) -> Array:
+        hit = model.joint_velocities(self.joints)
+        is_hit = [float(place in hit) for place in range(model.model.nv)]
+        return self.speed * (2.0 * uniform[0] - 1.0) * step.array(is_hit)
+
+
 MONOPOD = Body(
     "monopod",
     file="monopod.xml",
@@ -27,6 +44,7 @@ MONOPOD = Body(
             {"kind": "alive", "weight": 0.5},
             {"kind": "mylab/uneven_power", "weight": 0.001},
         ],
+        "events": [{"kind": "mylab/kick", "joints": ["hip", "knee"], "every_s": 2.0}],
         "termination": [{"kind": "height_range", "range": [0.25, 2.0]}],
     },
 )

@@ -19,6 +19,7 @@ from core.environments.describe_bodies import bodies_of_plugin
 from core.environments.describe_terms import page_of_plugin
 from core.environments.plugins import LISTS, TABLE, Plugin, hold_only, load
 from core.environments.robots.info import ROBOTS
+from core.environments.task import TaskEnv
 from core.environments.terms.inventory import OF_PLUGINS
 from core.environments.terms.task import TaskOptions
 from core.errors import EnvironmentNotFound, JobFailed, Rejected
@@ -81,12 +82,14 @@ UNEVEN = {"kind": "mylab/uneven_power", "weight": 0.01}
 
 def test_the_term_of_a_package_goes_where_ours_go(install: Install) -> None:
     plugin = install()
-    assert (plugin.problem, plugin.kinds, plugin.loads) == ("", ["mylab/uneven_power"], ())
+    assert (plugin.problem, plugin.kinds, plugin.loads) == ("", ["mylab/uneven_power", "mylab/kick"], ())
     _, options = catalog.resolve("g1", {"reward": [{"kind": "track_linear_velocity"}, UNEVEN]})
     assert [term.weight for term in options.reward] == [1.0, 0.01]  # pyright: ignore
     schema = json.dumps(catalog.find("mjcf").options.model_json_schema())
     assert '"mylab/uneven_power"' in schema
-    assert "| `mylab/uneven_power` | cost: max " in page_of_plugin(plugin)
+    page = page_of_plugin(plugin)
+    assert "| `mylab/uneven_power` | cost: max " in page
+    assert "## `events`" in page
     with pytest.raises(Rejected) as refused:
         catalog.resolve("g1", {"reward": [{**UNEVEN, "weigth": 1}]})
     assert [problem.pointer for problem in refused.value.problems] == ["/environment/options/reward/0/weigth"]
@@ -139,8 +142,29 @@ def test_a_job_needs_a_worker_that_has_the_package(install: Install) -> None:
         catalog.resolve("g1", {"reward": [{"kind": "mylab/uneven_powers"}]})
 
 
+_OTHERS = """
+from typing import Literal
+from gaitway.environments import ActionTerm, CommandRange, CommandTerm, OfBody
+
+class Spin(OfBody, CommandTerm):
+    "How fast to turn: what is drawn, and how far the hip is bent."
+    kind: Literal["mylab/spin"] = "mylab/spin"
+    ranges = property(lambda self: [CommandRange("turn", "rad/s", -1.0, 1.0)])
+    num_random = property(lambda self: 1)
+    follows = property(lambda self: True)
+    def drawn(self, uniform, step, model): return 2.0 * uniform - 1.0
+    def told(self, target, step, model): return target + step.after.qpos[2:3]
+
+class Alike(ActionTerm):
+    "One number for both motors, less half of the knee's angle."
+    kind: Literal["mylab/alike"] = "mylab/alike"
+    def names(self, model): return ["push"]
+    def controls(self, action, step, model):
+        return (action[0] - 0.5 * step.after.qpos[3]) * step.xp.ones(model.model.nu)
+"""
 _TERM = """
 from typing import Literal
+from gaitway.environments import ActionTerm, CommandTerm, EventTerm
 from gaitway.environments import CostTerm, ObservationTerm, RewardTerm, Term
 class Mine({base}):
     kind: Literal["{kind}"] = "{kind}"
@@ -149,19 +173,89 @@ class Mine({base}):
 _MEASURE = "def measure(self, step, model): return 0.0"
 
 
+def with_others(folder: Path) -> None:
+    code = folder / "environments.py"
+    code.write_text(code.read_text() + _OTHERS)
+
+
+def test_a_command_and_an_action_of_a_package_go_where_ours_go(install: Install) -> None:
+    assert not install(change=with_others).problem
+    task = {
+        "command": {"kind": "mylab/spin", "every_s": 0.02},
+        "action": {"kind": "mylab/alike"},
+        "observation": [{"kind": "command"}, {"kind": "previous_action"}],
+        "reward": [{"kind": "control_cost", "of": "control"}],
+    }
+    info, options = catalog.resolve("mylab/monopod", task)
+    assert [part.components for part in info.spaces.observation] == [("turn",), ("push",)]
+    assert [part.components for part in info.spaces.action] == [("push",)]
+    environment = catalog.make(info, options, engine_builder("native"))
+    assert environment.action_size == 1
+    before = environment.reset(jax.random.key(0))
+    np.testing.assert_allclose(before.obs[0], before.info["target"][0] + before.physics.qpos[2], rtol=1e-6)
+    after = environment.step(before, np.array([0.25]))
+    assert after.info["target"] != before.info["target"]
+    np.testing.assert_allclose(after.obs[0], after.info["target"][0] + after.physics.qpos[2], rtol=1e-6)
+    control = 0.25 - 0.5 * before.physics.qpos[3]
+    np.testing.assert_allclose(after.reward, -2.0 * control**2, rtol=1e-5)
+
+
+def test_what_a_package_brings_is_checked_as_ours_is(install: Install) -> None:
+    install(change=with_others)
+    with pytest.raises(Rejected) as refused:
+        catalog.resolve("mylab/monopod", {"command": {"kind": "mylab/spin", "body": "trunc"}})
+    assert [problem.pointer for problem in refused.value.problems] == ["/environment/options/command/body"]
+    for option, wrong in (("command", {"kind": "mylab/spim"}), ("events", [{"kind": "mylab/kik"}])):
+        with pytest.raises(Rejected, match=r"mylab 0\.1\.0, which is installed here.*Did you mean"):
+            catalog.resolve("mylab/monopod", {option: wrong})
+    for option in ("action", "events"):
+        wrong = {"kind": "yourlab/x"} if option == "action" else [{"kind": "yourlab/x"}]
+        with pytest.raises(Rejected, match="no package that is installed here has the entry point 'yourlab'"):
+            catalog.resolve("g1", {option: wrong})
+    named = {"command": {"kind": "mylab/spin"}, "events": [{"kind": "mylab/kick"}]}
+    assert "mylab" in packages_for(job(named))
+
+
+def test_a_list_of_one_kind_names_the_package_that_is_not_there() -> None:
+    with pytest.raises(Rejected, match="no package that is installed here has the entry point 'mylab'"):
+        catalog.resolve("g1", {"events": [{"kind": "mylab/kick"}]})
+
+
+def test_an_event_of_a_package_changes_the_velocities(install: Install) -> None:
+    install()
+    info, options = catalog.resolve(
+        "mylab/monopod",
+        {"events": [{"kind": "mylab/kick", "joints": ["hip"], "every_s": 0.02, "speed": 3.0}]},
+    )
+    environment = catalog.make(info, options, engine_builder("native"))
+    assert isinstance(environment, TaskEnv)
+    [kick] = environment._events  # pyright: ignore[reportPrivateUsage]
+    at_rest = environment.reset(jax.random.key(0))
+    step = environment._at(at_rest.physics, at_rest.info)  # pyright: ignore[reportPrivateUsage]
+    np.testing.assert_allclose(kick.measure(step, np.array([0.75])), [0.0, 0.0, 1.5, 0.0])
+    quiet = {"kind": "mylab/kick", "joints": ["hip"], "every_s": 0.02, "speed": 0.0}
+    info, options = catalog.resolve("mylab/monopod", {"events": [quiet]})
+    without = catalog.make(info, options, engine_builder("native"))
+    moved = [one.step(at_rest, np.zeros(2)).physics.qpos[2] for one in (environment, without)]
+    assert abs(moved[0] - moved[1]) > 1e-3
+
+
 @pytest.mark.parametrize(
     ("code", "problem"),
     [
         ("import nowhere", "ModuleNotFoundError: No module named 'nowhere' (environments.py, line 1)"),
         ("raise SystemExit(3)", "SystemExit: 3 (environments.py, line 1)"),
         (_TERM.format(base="RewardTerm", kind="alive", more=_MEASURE), 'call it "mylab/…"'),
-        (_TERM.format(base="RewardTerm", kind="mylab/x", more="pass"), "Mine has no method `measure`."),
-        (_TERM.format(base="ObservationTerm", kind="mylab/x", more=_MEASURE), "has no method `size`"),
+        (_TERM.format(base="RewardTerm", kind="mylab/x", more="pass"), "The term Mine has no `measure`."),
+        (_TERM.format(base="ObservationTerm", kind="mylab/x", more=_MEASURE), "has no `size`"),
         (_TERM.format(base="Term", kind="mylab/x", more=_MEASURE), "none of the bases RewardTerm"),
         (
             _TERM.format(base="RewardTerm", kind="mylab/x", more=f"lock: type = int\n    {_MEASURE}"),
             "PydanticInvalidForJsonSchema",
         ),
+        (_TERM.format(base="CommandTerm", kind="mylab/x", more="num_random = property(id)"), "no `ranges`"),
+        (_TERM.format(base="EventTerm", kind="mylab/x", more="def drawn(self, *_): ..."), "no `num_random`"),
+        (_TERM.format(base="ActionTerm", kind="mylab/x", more="def names(self, _): ..."), "no `controls`"),
         (
             "from gaitway.environments import Body\n"
             "DOG = Body('dog', file='dog.xml', description='', options={})",
