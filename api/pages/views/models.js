@@ -117,7 +117,7 @@ function Owned({ found: { inventory, recipe, recipe_engines: edited = {}, settle
     ${feet.length > 0 && html`<dt>Feet</dt><dd>${feet.join(", ")}</dd>`}
     ${feet.length > 0 && html`<dt>Pose</dt><dd>${pose.keyframe ? `the keyframe ${pose.keyframe}` : pose.joints ? "joints as the recipe says" : "as it is in its file"}</dd>`}
     ${able.length > 0 && html`<dt>Engines</dt><dd>${able.join(", ")}, with the recipe's edits</dd>`}
-    <dt>Root</dt><dd>${inventory.root}, ${inventory.travels ? "travels" : "stays in its place"}; ${value(inventory.initial_height)} m high, settles at ${value(settled)} m</dd>
+    <dt>Root</dt><dd>${inventory.root}, ${inventory.travels ? "travels" : "stays in its place"}; ${value(inventory.initial_height)} m high, settles at ${value(settled)} m without actions</dd>
     <dt>Mass</dt><dd>${value(inventory.mass_kg)} kg</dd>
   </dl>`;
 }
