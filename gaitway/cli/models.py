@@ -158,7 +158,8 @@ def _lines(found: dict[str, Any]) -> list[str]:
         *([f"read from {found['main']}"] if found.get("main") else []),
         *_of_the_recipe(found.get("recipe") or {}),
         f"{has['mass_kg']:.3g} kg, root {has['root']!r}",
-        f"begins at {has['initial_height']:.3g} m, settles at {found['settled_height']:.3g} m without actions",
+        f"begins at {has['initial_height']:.3g} m, without actions settles at "
+        f"{found['settled_height']:.3g} m",
         *found["notes"],
         *_engines(found),
         f"nq {sizes['nq']}, nv {sizes['nv']}, nu {sizes['nu']}",

@@ -114,7 +114,7 @@ class JobProgress:
         if (episodes := self.metrics.get("training/num_episodes")) is not None:
             done = self.metrics.get("training/episodes", 0.0)
             parts.insert(0, f"{done:,.0f}/{episodes:,.0f} episodes")
-        if self.steps_per_second:
+        if self.steps_per_second and self.phase != "testing":  # It trains no more.
             parts.append(f"{self.steps_per_second:,.0f} steps/s")
         if (reward := self._first(RETURNS)) is not None:
             parts.append(f"return {reward:,.1f} {curve}".rstrip())

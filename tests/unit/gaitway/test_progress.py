@@ -72,7 +72,8 @@ def test_a_phase_is_told_at_once_but_not_each_evaluation() -> None:
 
 def test_what_lasts_minutes_only_once_says_so() -> None:
     compiling = Event(kind="progress", data={"step": 0, "total": 1000, "phase": "compiling"})
-    testing = Event(kind="progress", data={"step": 1000, "total": 1000, "phase": "testing"})
+    ended = {"step": 1000, "total": 1000, "steps_per_second": 1234.5, "phase": "testing"}
+    testing = Event(kind="progress", data=ended)
     assert shown(Event(kind="status", data={"status": "running"}), compiling, testing)[1:] == [
         "running · compiling · 0/1,000 steps · "
         "the first time may take minutes, a later start of the same job is shorter",
