@@ -23,6 +23,7 @@ from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.external.brax.info import SAME_TASK
 from core.environments.info import CRITIC_GROUP, Device, EnvironmentInfo
 from core.environments.mjcf.info import MjcfOptions
+from core.environments.robots.info import G1Options, Go1Options
 
 _CPU: Mapping[str, Any] = {
     "num_timesteps": 5_000_000,
@@ -327,6 +328,32 @@ G1 = _joystick(24_000_000, 10_000_000)
 GO1 = _joystick(12_000_000, 3_000_000)
 
 
+# Six seconds to get up; what is earned while standing counts from the ground on.
+_GET_UP: Mapping[str, Any] = {
+    "episode_length": 250,
+    "discounting": 0.98,
+    "entropy_cost": 0.02,
+    "reward_scaling": 0.08,
+}
+
+
+def g1(options: G1Options) -> Mapping[Device, PPOSpec]:
+    """The values for the G1's tasks."""
+    return _joystick(130_000_000, 30_000_000) if options.task == "rough" else G1
+
+
+def go1(options: Go1Options) -> Mapping[Device, PPOSpec]:
+    """The values for the Go1's tasks."""
+    match options.task:
+        case "walk":
+            return GO1
+        case "rough":
+            return _joystick(250_000_000, 30_000_000)
+        case "get_up":
+            values = _joystick(100_000_000, 15_000_000)
+            return {device: settings.model_copy(update=_GET_UP) for device, settings in values.items()}
+
+
 def own_model(options: MjcfOptions) -> Mapping[Device, PPOSpec]:
     """The values for a user's own model: those of robots, where servos' targets follow a command."""
     walks = options.command is not None and options.action.kind == "joint_position"
@@ -377,8 +404,6 @@ PLAYGROUND = _read()
 
 _BY_ENVIRONMENT: dict[str, Mapping[Device, PPOSpec]] = {
     "ant": ANT,
-    "g1": G1,
-    "go1": GO1,
     "half_cheetah": HALF_CHEETAH,
     "hopper": HOPPER,
     "humanoid": HUMANOID,
@@ -397,6 +422,8 @@ TUNED_BY_OPTIONS: dict[str, Callable[[Any], Mapping[Device, PPOSpec]]] = {
     "brittle_star_light_escape": brittle_star,
     "brittle_star_undirected": brittle_star,
     "corridor": corridor,
+    "g1": g1,
+    "go1": go1,
     "mjcf": own_model,
 }
 

@@ -1,6 +1,9 @@
 """The catalog's rows of robots: tasks of terms, for bodies that come with a package."""
 
-from pydantic import Field
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field, model_validator
 
 from core.environments.info import EnvironmentInfo
 from core.environments.mjcf.check import problems
@@ -8,6 +11,7 @@ from core.environments.mjcf.edit_options import HOME
 from core.environments.robots.g1 import G1
 from core.environments.robots.go1 import GO1
 from core.environments.robots.robot import Robot
+from core.environments.robots.tasks import get_up, rough
 from core.environments.terms.actions import AnyAction, JointPositionAction
 from core.environments.terms.commands import AnyCommand, GaitClock, VelocityCommand
 from core.environments.terms.inventory import inventory_of
@@ -25,19 +29,24 @@ from core.environments.terms.task import (
     varied,
 )
 from core.environments.terms.terminations import NotUpright, OutsideHeightRange
-from core.environments.terms.walking import OBSERVATION, walking_reward
+from core.environments.terms.vocabulary import AnyReward
+from core.environments.terms.walking import CLIMBING, OBSERVATION, TILT, walking_reward
 from core.physics.availability import Rule
 
 ROBOTS = {robot.name: robot for robot in (G1, GO1)}
 
 _SIDEWAYS, _LEGS = ".*_(hip_yaw|hip_roll)_joint", ".*_(hip|knee|ankle)_.*"
-
-
 _LIMITS = [JointLimits(weight=2.0, share=0.9)]
+_TASK = (
+    "What the robot is to do, and so what the options are that a job leaves out. walk: by command, on the "
+    "flat. rough: the same over terrain, pushed, with noise and delays."
+)
 
 
 class JoystickOptions(TaskOptions):
-    """A robot that walks by command."""
+    """A robot that walks by command. of_task: the options that a task changes, by its name."""
+
+    of_task: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
 
     observation: Observations = Field(default=OBSERVATION, description="Terms to concatenate, in this order.")
     action: AnyAction = Field(default=JointPositionAction(), description="How an action becomes controls.")
@@ -53,18 +62,29 @@ class JoystickOptions(TaskOptions):
         default=5, ge=1, le=100, description="Line-search iterations on mjx, warp and compiled."
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, given: Any) -> Any:
+        task = given.get("task") if isinstance(given, Mapping) else None
+        return {**cls.of_task[task], **given} if isinstance(task, str) and task in cls.of_task else given
+
+
+def _reward_of_g1(swing: float, sideways: float, *, tilt: float, climbing: float) -> list[AnyReward]:
+    posture = Posture(weight=0.15, weights={_SIDEWAYS: sideways, _LEGS: 0.0, ".*": 1.0})
+    costs = [ControlCost(weight=0.002)]
+    return walking_reward(swing, posture, costs, _LIMITS, tilt=tilt, climbing=climbing)
+
 
 class G1Options(JoystickOptions):
     """Unitree's G1 that walks by command, on a floor."""
 
+    of_task: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "rough": rough(_reward_of_g1(0.18, sideways=0.1, tilt=0.4, climbing=0.1), lowest=0.3)
+    }
+
+    task: Literal["walk", "rough"] = Field(default="walk", description=_TASK)
     reward: Rewards = Field(
-        default=walking_reward(
-            0.1,
-            Posture(weight=0.15, weights={_SIDEWAYS: 0.5, _LEGS: 0.0, ".*": 1.0}),
-            [ControlCost(weight=0.002)],
-            _LIMITS,
-        ),
-        description="Terms to sum.",
+        default=_reward_of_g1(0.1, sideways=0.5, tilt=TILT, climbing=CLIMBING), description="Terms to sum."
     )
     termination: Terminations = Field(
         default=[NotUpright(least=0.5), OutsideHeightRange(range=(0.4, 2.0))],
@@ -78,12 +98,23 @@ class G1Options(JoystickOptions):
     )
 
 
+def _reward_of_go1(swing: float, *, tilt: float, climbing: float) -> list[AnyReward]:
+    return walking_reward(swing, Posture(weight=0.1), of_joints=_LIMITS, tilt=tilt, climbing=climbing)
+
+
 class Go1Options(JoystickOptions):
     """Unitree's Go1 that walks by command, on a floor."""
 
+    of_task: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "rough": rough(_reward_of_go1(0.14, tilt=0.5, climbing=0.1), lowest=0.03),
+        "get_up": get_up(standing=0.22),
+    }
+
+    task: Literal["walk", "rough", "get_up"] = Field(
+        default="walk", description=f"{_TASK} get_up: from any fall, and stand."
+    )
     reward: Rewards = Field(
-        default=walking_reward(0.08, Posture(weight=0.1), of_joints=_LIMITS),
-        description="Terms to sum.",
+        default=_reward_of_go1(0.08, tilt=TILT, climbing=CLIMBING), description="Terms to sum."
     )
     termination: Terminations = Field(
         default=[NotUpright(least=0.5), OutsideHeightRange(range=(0.12, 1.0))],

@@ -16,8 +16,11 @@ from core.physics.engine import SolverSettings
 
 
 def robot(name: str, options: TaskOptions) -> tuple[mujoco.MjSpec, SolverSettings]:
-    """The catalog's robot, and how far engines solve. Raises like `spec`."""
-    return spec(ROBOTS[name]), solver_settings(options)
+    """The catalog's robot, and how far engines solve. One that begins fallen lies on all that collides in its
+    file, not on its feet alone. Raises like `spec`."""
+    found = ROBOTS[name]
+    lies = None if options.reset.fallen is None else found.edits.model_copy(update={"collide": "floor"})
+    return spec(found, lies), solver_settings(options)
 
 
 def spec(robot: Robot, edits: ModelEdits | None = None) -> mujoco.MjSpec:

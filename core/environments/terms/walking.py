@@ -32,23 +32,31 @@ OBSERVATION: list[AnyObservation] = [
     PreviousAction(),
     GaitPhase(),
 ]
+# On the flat: the tolerance of `flat_orientation`, and the weight of `vertical_velocity`.
+TILT, CLIMBING = 0.3, 0.5
 
 
 def walking_reward(
-    swing: float, posture: Posture, of_actions: Sequence[AnyReward] = (), of_joints: Sequence[AnyReward] = ()
+    swing: float,
+    posture: Posture,
+    of_actions: Sequence[AnyReward] = (),
+    of_joints: Sequence[AnyReward] = (),
+    *,
+    tilt: float = TILT,
+    climbing: float = CLIMBING,
 ) -> list[AnyReward]:
     """The reward's terms. swing: the highest point of a foot's swing, in m. of_actions, of_joints: further
-    terms, in their places of the sum."""
+    terms, in their places of the sum. tilt, climbing: see above."""
     return [
         TrackLinearVelocity(weight=2.0),
         TrackAngularVelocity(weight=2.0),
         SwingHeight(height=swing),
-        FlatOrientation(),
+        FlatOrientation(tolerance=tilt),
         posture,
         ActionRate(weight=0.02),
         *of_actions,
         RollPitchRate(weight=0.05),
-        VerticalVelocity(weight=0.5),
+        VerticalVelocity(weight=climbing),
         FootSlip(weight=0.1),
         JointVelocityCost(weight=0.0005),
         *of_joints,

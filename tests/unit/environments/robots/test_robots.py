@@ -10,18 +10,24 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from core import installation
-from core.environments import optional_packages
+from core.algorithms.spec import BaseSpec
+from core.environments import catalog, optional_packages
 from core.environments.mjcf.edit_options import HOME
 from core.environments.robots import model as models
 from core.environments.robots.g1 import G1
 from core.environments.robots.go1 import GO1
+from core.environments.robots.info import G1Options, Go1Options
 from core.environments.robots.robot import Robot
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.actuation import actuation
 from core.environments.terms.feet import feet_of
+from core.environments.terms.terrain import Terrain
 from core.errors import JobFailed
+from core.jobs.resolved import resolve_job
+from core.jobs.spec import TrainSpec
 from core.jobs.workers import how_to_install
 from core.physics.choose import engine_builder
 from core.physics.compiled.coverage import uncovered
@@ -186,3 +192,48 @@ def test_pip_is_told_the_version_that_is_locked(monkeypatch: pytest.MonkeyPatch)
     assert installation.to_install_robots() == f"pip install --no-deps {robots}"
     bare = {each["name"]: each for each in project["tool"]["uv"]["dependency-metadata"]}["mjlab"]
     assert (f"mjlab=={bare['version']}", bare["requires-dist"]) == (robots, [])
+
+
+def test_a_task_says_what_a_job_leaves_out() -> None:
+    walks, climbs = Go1Options(), Go1Options.model_validate({"task": "rough"})
+    assert walks.terrain is None
+    assert walks.critic is None
+    assert climbs.terrain == Terrain()
+    assert [term.kind for term in climbs.critic or []][-1] == "height_scan"
+    of_job = Go1Options.model_validate({"task": "rough", "terrain": {"kinds": ["blocks"]}, "events": []})
+    assert of_job.terrain == Terrain(kinds=["blocks"])
+    assert of_job.events == []
+    assert of_job.observation == climbs.observation
+    # What is written down whole, as in a checkpoint, is read as it is.
+    assert Go1Options.model_validate(climbs.model_dump(mode="json")) == climbs
+
+
+def test_the_steps_of_a_training_follow_from_its_task() -> None:
+    def settings(task: str) -> BaseSpec:
+        job = {"environment": {"id": "go1", "options": {"task": task}}, "algorithm": {"kind": "ppo"}}
+        return resolve_job(TrainSpec.model_validate(job)).settings_on("gpu")
+
+    walk, rough, up = (settings(task).model_dump() for task in ("walk", "rough", "get_up"))
+    assert walk["num_timesteps"] < up["num_timesteps"] < rough["num_timesteps"]
+    assert (walk["value_obs_key"], rough["value_obs_key"]) == ("state", "privileged_state")
+    assert (walk["episode_length"], up["episode_length"]) == (1000, 250)
+
+
+def test_a_robot_that_gets_up_lies_on_its_trunk() -> None:
+    info, options = catalog.resolve("go1", {"task": "get_up"})
+    environment = catalog.make(info, options, engine_builder("native"))
+    starts = jax.jit(jax.vmap(environment.reset))(jax.random.split(jax.random.PRNGKey(0), 64))
+    lies, _ = jax.lax.scan(
+        lambda state, _: (jax.vmap(environment.step)(state, jnp.zeros((64, 12))), None), starts, length=100
+    )
+    # Of 64 that were turned at random many lie on their backs or sides; the trunk is 11 cm thick.
+    heights = np.asarray(lies.metrics["height"])
+    upright = np.asarray(lies.metrics["reward_upright"])
+    assert (upright < 0.5).sum() > 20
+    assert heights.min() > 0.04
+    assert not np.asarray(lies.done).any()
+
+
+def test_the_g1_is_refused_what_it_does_not_learn() -> None:
+    with pytest.raises(ValidationError, match="'walk' or 'rough'"):
+        G1Options.model_validate({"task": "get_up"})

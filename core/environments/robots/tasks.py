@@ -1,0 +1,91 @@
+"""The catalog's robots' tasks besides walking on the flat: what a job's other options then are.
+
+The noise and the delays are of the size that mjlab and Isaac Lab give their quadrupeds; the weights are those
+of `python -m bench.robots` (docs/environments/robots.md).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from core.environments.mjcf.edit_options import HOME
+from core.environments.terms.actions import JointPositionAction
+from core.environments.terms.commands import Push, VelocityCommand
+from core.environments.terms.locomotion import (
+    BaseAngularVelocity,
+    BaseHeight,
+    BaseLinearVelocity,
+    GaitPhase,
+    JointPositions,
+    JointVelocities,
+    JointVelocityCost,
+    Posture,
+    ProjectedGravity,
+)
+from core.environments.terms.observations import PreviousAction
+from core.environments.terms.rewards import ActionRate, Healthy, JointLimits, Upright
+from core.environments.terms.starts import Fallen
+from core.environments.terms.task import Reset
+from core.environments.terms.terminations import AnyTermination, NotUpright, OutsideHeightRange
+from core.environments.terms.terrain import HeightScan, Terrain
+from core.environments.terms.tracking import Command
+from core.environments.terms.vocabulary import AnyReward
+from core.environments.terms.walking import OBSERVATION
+
+# s: a sensor's reading, and an action, are late by as much.
+_LATE = (0.0, 0.02)
+
+
+def rough(reward: Sequence[AnyReward], lowest: float) -> Mapping[str, Any]:
+    """Walks by command over terrain, pushed, through noise and delays; it sees the ground about it.
+
+    lowest: below this height of the root above the ground an episode ends, in m. On stairs the ground rises
+    by a step while the root is above its edge.
+    """
+    return {
+        "terrain": Terrain(),
+        "observation": [
+            BaseLinearVelocity(noise=0.1),
+            BaseAngularVelocity(scale=0.25, noise=0.2),
+            ProjectedGravity(noise=0.05),
+            Command(),
+            JointPositions(noise=0.03, delay=_LATE),
+            JointVelocities(scale=0.05, noise=1.0, delay=_LATE),
+            PreviousAction(),
+            GaitPhase(),
+            HeightScan(noise=0.02),
+        ],
+        "critic": [*OBSERVATION, HeightScan()],
+        "action": JointPositionAction(delay=_LATE),
+        # Long enough to leave the terrain on one command, which takes an environment up a level.
+        "command": VelocityCommand(every_s=10.0),
+        "events": [Push(every_s=6.0, speed=0.5, turn=0.3)],
+        "termination": [NotUpright(least=0.2), OutsideHeightRange(range=(lowest, 2.0))],
+        "reward": list(reward),
+    }
+
+
+def get_up(standing: float) -> Mapping[str, Any]:
+    """Gets up from any fall, and stands. standing: from this height of the root on it does, in m."""
+    stands: list[AnyTermination] = [NotUpright(least=0.8), OutsideHeightRange(range=(standing, None))]
+    return {
+        "command": None,
+        "gait": None,
+        "reset": Reset(keyframe=HOME, position_noise=0.01, velocity_noise=0.01, fallen=Fallen()),
+        "termination": [],
+        "observation": [
+            BaseAngularVelocity(scale=0.25),
+            ProjectedGravity(),
+            JointPositions(),
+            JointVelocities(scale=0.05),
+            PreviousAction(),
+        ],
+        "reward": [
+            Upright(),
+            Healthy(weight=2.0, unless=stands),
+            BaseHeight(weight=5.0),
+            Posture(weight=0.03),
+            JointVelocityCost(weight=0.0002),
+            ActionRate(weight=0.01),
+            JointLimits(weight=1.0, share=0.95),
+        ],
+    }
