@@ -75,6 +75,16 @@ _COMMAND = {"kind": "velocity", "forward": [0.3, 1.0], "left": [-0.2, 0.2], "eve
 
 SHOWN = {
     "go1": Shown({"environment": "go1"}, seconds=6, filmed={"command": _COMMAND}),
+    "go1-rough": Shown(
+        {"environment": "go1", "options": {"task": "rough"}},
+        seconds=7,
+        filmed={
+            "terrain": {"kinds": ["stairs_up"], "levels": [5, 5]},
+            "command": _COMMAND | {"forward": [0.5, 0.6], "left": [0.0, 0.0], "turn": [0.0, 0.0]},
+            "events": [],
+        },
+        seed=2,
+    ),
     "g1": Shown({"environment": "g1"}, width=240, seconds=6, filmed={"command": _COMMAND}),
     "inverted_pendulum": Shown({"environment": "inverted_pendulum"}, width=160, beside_random=True),
     # It stands still when it has reached its target, so an episode of the picture takes 1.5 s.
@@ -256,7 +266,8 @@ def _print_outcome(client: Client, job: JobView) -> None:
 
 def _acted(shown: Shown, policy: Path) -> Sequence[Image.Image]:
     """Pictures of a rollout in this process, under the policy of a file."""
-    info, options = catalog.resolve(shown.job["environment"], shown.filmed)
+    asked = {**shown.job.get("options", {}), **shown.filmed}
+    info, options = catalog.resolve(shown.job["environment"], asked)
     environment = catalog.make(info, options, engine_builder("native"))
     act = make_inference(read_policy(policy.read_bytes()))
     steps = min(shown.num_steps, round(shown.seconds / environment.dt))
