@@ -26,6 +26,7 @@ from core.algorithms.policy_file import read_policy
 from core.algorithms.ppo.policy import make_inference
 from core.environments import catalog, trajectory
 from core.environments.rollout import rollout
+from core.jobs.spec import TrainSpec
 from core.physics.choose import engine_builder
 from core.rendering.request import RenderRequest
 from gaitway.client import Client
@@ -76,7 +77,7 @@ _COMMAND = {"kind": "velocity", "forward": [0.3, 1.0], "left": [-0.2, 0.2], "eve
 SHOWN = {
     "go1": Shown({"environment": "go1"}, seconds=6, filmed={"command": _COMMAND}),
     "go1-rough": Shown(
-        {"environment": "go1", "options": {"task": "rough"}},
+        {"environment": {"id": "go1", "options": {"task": "rough"}}},
         seconds=7,
         filmed={
             "terrain": {"kinds": ["stairs_up"], "levels": [5, 5]},
@@ -266,8 +267,8 @@ def _print_outcome(client: Client, job: JobView) -> None:
 
 def _acted(shown: Shown, policy: Path) -> Sequence[Image.Image]:
     """Pictures of a rollout in this process, under the policy of a file."""
-    asked = {**shown.job.get("options", {}), **shown.filmed}
-    info, options = catalog.resolve(shown.job["environment"], asked)
+    asked = TrainSpec.model_validate(shown.job).environment
+    info, options = catalog.resolve(asked.id, {**asked.options, **shown.filmed})
     environment = catalog.make(info, options, engine_builder("native"))
     act = make_inference(read_policy(policy.read_bytes()))
     steps = min(shown.num_steps, round(shown.seconds / environment.dt))
