@@ -137,7 +137,9 @@ def check(environment: MujocoEnv, command: Any = ()) -> None:
     actions = jax.random.uniform(
         jax.random.key(1), (NUM_STEPS, NUM_ENVS, environment.action_size), minval=-1, maxval=1
     )
-    layouts = state.info.get("terrain", np.zeros(NUM_ENVS, int)) // NUM_VARIANTS
+    layouts = np.zeros(NUM_ENVS, int)
+    if simulation.terrain is not None:
+        layouts = np.asarray(state.info["terrain"]) // NUM_VARIANTS
     bodies = [Stepped(simulation, int(layout)) for layout in layouts]
     for one, body in enumerate(bodies):
         seen = body.begin(jax.tree.map(lambda values, one=one: values[one], state.physics), command)
