@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
@@ -119,7 +119,27 @@ def tuned(algorithm: str, environment: EnvironmentInfo, device: Device) -> dict[
     row = ALGORITHMS[algorithm]
     has_length = "episode_length" in row.spec.model_fields
     options = {"episode_length": environment.episode_length} if has_length else {}
-    return options | (row.tuned(environment, device).model_dump(exclude_unset=True) if row.tuned else {})
+    ours = row.tuned(environment, device).model_dump(exclude_unset=True) if row.tuned else {}
+    of_the_package = (environment.tuned or {}).get(algorithm, {}).get(device, {})
+    return {**options, **ours, **of_the_package}
+
+
+def wrong_tuned(environment: EnvironmentInfo) -> str | None:
+    """A sentence on the first of the values that a package has tuned for its body which no job could take;
+    None where all are well."""
+    for algorithm, by_device in (environment.tuned or {}).items():
+        for device, values in by_device.items():
+            place = f"tuned.{algorithm}.{device}"
+            if algorithm not in ALGORITHMS or device not in get_args(Device):
+                return f"{place}: there are the algorithms {', '.join(ALGORITHMS)}, on cpu and gpu."
+            try:
+                resolve(ALGORITHMS[algorithm].spec.model_validate(values), environment, device)
+            except ValidationError as error:
+                first = error.errors()[0]
+                return f"{'.'.join(map(str, (place, *first['loc'])))}: {first['msg']}."
+            except Rejected as refusal:
+                return f"{place}: {refusal.detail}"
+    return None
 
 
 def environment_options(spec: BaseSpec, environment_id: str, options: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -136,10 +136,13 @@ class EnvironmentInfo:
     free_in_rollouts: options that a rollout may change from those that its policy was trained with.
     parts: the names of the model's parts that a task of terms may name, by kind (`bodies`, `joints`, `geoms`,
     `sensors`, `keyframes`); empty where they are not known.
+    names: of all actuators, bodies, geoms and joints of the model, which rules of randomization name; empty
+    where they are not known.
     vary: the fields above that some options change, by name; the row itself has their values under the
     default options. slices: the numbers of an observation and an action under these options; None where they
     are not known. chosen: the options that the row describes; None: the default ones. check: what is wrong
-    with options that are valid each by itself.
+    with options that are valid each by itself. tuned: hyperparameters that a package has for its body, by
+    algorithm and device; None: the body is ours, and algorithms know theirs.
     """
 
     id: str
@@ -166,10 +169,12 @@ class EnvironmentInfo:
     curriculum_option: str = "curriculum"
     free_in_rollouts: tuple[str, ...] = ()
     parts: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
+    names: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     vary: Callable[[Any], Mapping[str, Any]] | None = None
     slices: Callable[[Any], Spaces] | None = None
     chosen: Strict | None = None
     check: Callable[[Any], Sequence[Problem]] | None = None
+    tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] | None = None
 
     @property
     def family(self) -> str:

@@ -12,6 +12,7 @@ import traceback
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from inspect import getfile
 from pathlib import Path
@@ -22,7 +23,7 @@ import structlog
 from pydantic import Field, TypeAdapter, create_model
 
 from core.bounds import LONGEST_NAME
-from core.environments.info import EnvironmentInfo
+from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.check import problems
 from core.environments.mjcf.edit_options import HOME, ModelEdits
 from core.environments.robots.info import ROBOTS, robot_page
@@ -62,12 +63,16 @@ _MOST_TOLD = 600
 @dataclass(frozen=True)
 class Body:
     """A body of a package. file: its MJCF, beside the module. options: those of a job on `mjcf` but for the
-    model: `edits`, and the terms that a job on this body begins with."""
+    model: `edits`, and the terms that a job on this body begins with. tuned: hyperparameters that such a job
+    takes unless it says otherwise, by algorithm and device; what they do not say is as on `mjcf`."""
 
     name: str
     file: str
     description: str
     options: Mapping[str, Any]
+    tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(
+        default_factory=dict[str, Mapping[Device, Mapping[str, Any]]]
+    )
 
 
 @dataclass(frozen=True)
@@ -235,7 +240,10 @@ def _rows(point: EntryPoint, module: ModuleType) -> Iterator[EnvironmentInfo]:
         if found := problems(options(), parts):
             raise BadPlugin(f"The options of the body {body.name}: {found[0].detail}")
         ROBOTS[robot.name], OF_PLUGINS[robot.name] = robot, parts
-        yield robot_page(robot, options, body.description)
+        row = robot_page(robot, options, body.description, tuned=body.tuned)
+        if body.tuned and (wrong := import_module("core.algorithms.catalog").wrong_tuned(row)):
+            raise BadPlugin(f"The body {body.name}: {wrong}")
+        yield row
 
 
 def bodies_of(module: ModuleType) -> list[Body]:

@@ -1,14 +1,18 @@
 """Checks before a job is stored: each refusal names the place and the remedy."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from itertools import islice
 
 from core.algorithms.battery.spec import follows_velocity
 from core.algorithms.catalog import reported
 from core.algorithms.spec import BaseSpec, check_resumption
-from core.bounds import LARGEST_JOB_BYTES, json_bytes
+from core.bounds import LARGEST_JOB_BYTES, MOST_PROBLEMS, json_bytes
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.mjcf.unmatched import unmatched
+from core.environments.randomization import FIELDS
 from core.environments.terms.randomized import Randomized
 from core.environments.terms.task import TaskOptions
+from core.environments.terms.terrain import BOX, MOST_BOXES
 from core.errors import Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.resolved import ResolvedJob, resolve_job
@@ -82,6 +86,8 @@ def _check_randomization(spec: JobSpec, job: ResolvedJob) -> None:
     if spec.randomization and info.own_physics:
         detail = f"{info.id} runs on Brax's own physics, which has no domain randomization."
         raise Rejected(detail, [Problem("/randomization", detail)])
+    if unknown := list(islice(_unknown_names(spec, job), MOST_PROBLEMS)):
+        raise Rejected(" ".join(problem.detail for problem in unknown[:5]), unknown)
     if not isinstance(spec, TrainSpec) or not isinstance(job.options, TaskOptions):
         return
     fields = {name for rule in spec.randomization for name in rule.fields}
@@ -89,6 +95,17 @@ def _check_randomization(spec: JobSpec, job: ResolvedJob) -> None:
         if isinstance(term, Randomized) and term.field not in fields:
             detail = f"No rule of `randomization` changes {term.field}, so the critic would always see 0."
             raise Rejected(detail, [Problem(f"/environment/options/critic/{number}/field", detail)])
+
+
+def _unknown_names(spec: JobSpec, job: ResolvedJob) -> Iterator[Problem]:
+    """Names and patterns of rules that the model lacks, where its parts are known."""
+    terrain = job.options.terrain if isinstance(job.options, TaskOptions) else None
+    for number, rule in enumerate(spec.randomization):
+        kind = FIELDS[rule.field].kind
+        if kind is None or not (known := job.info.names.get(kind)):
+            continue
+        boxes = [f"{BOX}{box}" for box in range(MOST_BOXES)] if terrain and kind == "geom" else []
+        yield from unmatched(rule.names or (), [*known, *boxes], kind, f"/randomization/{number}/names")
 
 
 def _check_devices(spec: JobSpec) -> None:

@@ -16,7 +16,7 @@ from core.environments.mjcf.check import problems
 from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.edit_options import ModelEdits
 from core.environments.mjcf.info import MjcfOptions
-from core.environments.terms.inventory import parts_by_kind
+from core.environments.terms.inventory import names_by_kind, parts_by_kind
 from core.environments.terms.task import task_slices
 from core.errors import EnvironmentNotFound, ModelNotFound, Problem, Rejected
 from core.jobs.job import Job
@@ -100,6 +100,7 @@ def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Descriptio
         slices=partial(task_slices, model=has),
         cameras=tuple(has.cameras),
         parts=parts_by_kind(has),
+        names=names_by_kind(has),
         cannot_run=engines_that_cannot(description, options),
     )
 

@@ -233,6 +233,18 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "'body_mass'",
         ),
         (
+            MINIMAL
+            | {"randomization": [{"field": "body_mass", "range": [1, 2], "names": ["torso", "tors"]}]},
+            "/randomization/0/names/1",
+            "The model has no body that 'tors' matches; did you mean 'torso'?",
+        ),
+        (
+            go1(terrain={})
+            | {"randomization": [{"field": "geom_friction", "range": [1, 2], "names": ["terrain .*", "x"]}]},
+            "/randomization/0/names/1",
+            "The model has no geom that 'x' matches",
+        ),
+        (
             MINIMAL | {"randomization": [{"field": "body_mass", "range": [2, 1]}]},
             "/randomization/0",
             "range must be [low, high]",

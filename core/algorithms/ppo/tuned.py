@@ -22,8 +22,8 @@ from core.environments.brittle_star.options import (
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.external.brax.info import SAME_TASK
 from core.environments.info import CRITIC_GROUP, Device, EnvironmentInfo
-from core.environments.mjcf.info import MjcfOptions
 from core.environments.robots.info import G1Options, Go1Options
+from core.environments.terms.task import TaskOptions
 
 _CPU: Mapping[str, Any] = {
     "num_timesteps": 5_000_000,
@@ -354,8 +354,8 @@ def go1(options: Go1Options) -> Mapping[Device, PPOSpec]:
             return {device: settings.model_copy(update=_GET_UP) for device, settings in values.items()}
 
 
-def own_model(options: MjcfOptions) -> Mapping[Device, PPOSpec]:
-    """The values for a user's own model: those of robots, where servos' targets follow a command."""
+def own_model(options: TaskOptions) -> Mapping[Device, PPOSpec]:
+    """The values for a user's own model or a package's: a robot's where servos' targets follow a command."""
     walks = options.command is not None and options.action.kind == "joint_position"
     return _joystick(30_000_000, 6_000_000) if walks else MJCF
 
@@ -428,10 +428,13 @@ TUNED_BY_OPTIONS: dict[str, Callable[[Any], Mapping[Device, PPOSpec]]] = {
 }
 
 
+_of_a_package: Callable[[Any], Mapping[Device, PPOSpec]] = own_model
+
+
 def tuned(environment: EnvironmentInfo, device: Device) -> PPOSpec:
     """The values that fit the environment on this device; all others are unset."""
     values = TUNED.get(environment.id, {})
-    by_options = TUNED_BY_OPTIONS.get(environment.id)
+    by_options = _of_a_package if environment.tuned is not None else TUNED_BY_OPTIONS.get(environment.id)
     if by_options and (environment.chosen is not None or not environment.takes_model):
         values = by_options(environment.option_values)
     own = values.get(device, PPOSpec())

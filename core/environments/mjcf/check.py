@@ -13,7 +13,7 @@ from core.environments.mjcf.unmatched import instead_of, no_keyframe, unmatched,
 from core.environments.randomization import FIELDS
 from core.environments.terms.actions import JointPart
 from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
-from core.environments.terms.inventory import Inventory, Kind, ModelParts
+from core.environments.terms.inventory import Inventory, Kind, ModelParts, names_by_kind
 from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture, VariablePosture
 from core.environments.terms.observations import Activation, ObservationTerm, Qpos, Sensors
 from core.environments.terms.randomized import Randomized
@@ -303,16 +303,12 @@ def _of_randomized(term: Randomized, pointer: str, parts: _Parts) -> Iterator[Pr
         yield Problem(f"{pointer}/axis", detail)
     if about.kind is None and term.names:
         yield Problem(f"{pointer}/names", f"{term.field} belongs to the whole model, and has no names.")
-    known = {
-        "actuator": [actuator.name for actuator in model.actuators],
-        "body": model.bodies,
-        "geom": model.geoms,
-        "joint": [joint.name for joint in model.joints],
-        None: [],
-    }[about.kind]
-    for number, name in enumerate(term.names or () if about.kind else ()):
+    if about.kind is None:
+        return
+    known = names_by_kind(model)[about.kind]
+    for number, name in enumerate(term.names or ()):
         if name not in known:
-            yield from _unknown(name, f"{pointer}/names/{number}", about.kind or "", known, parts)
+            yield from _unknown(name, f"{pointer}/names/{number}", about.kind, known, parts)
 
 
 def _of_term(term: Strict, pointer: str, parts: _Parts) -> Iterator[Problem]:

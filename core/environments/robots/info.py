@@ -129,8 +129,8 @@ class Go1Options(JoystickOptions):
     )
 
 
-def robot_page(robot: Robot, options: type[TaskOptions], description: str) -> EnvironmentInfo:
-    """The row of a robot. options: the class of its task."""
+def robot_page(robot: Robot, options: type[TaskOptions], description: str, **facts: Any) -> EnvironmentInfo:
+    """The row of a robot. options: the class of its task. facts: further fields of the row."""
     return page(
         robot.name,
         "core.environments.robots.model:robot",
@@ -148,6 +148,7 @@ def robot_page(robot: Robot, options: type[TaskOptions], description: str) -> En
             Rule("compiled", 1, "The robot's code is compiled for it alone."),
             Rule("warp", 1, "Of the engines that tell what the terms read, it is the one for GPUs."),
         ),
+        **facts,
     )
 
 

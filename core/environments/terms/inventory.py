@@ -141,6 +141,16 @@ def parts_by_kind(model: Inventory) -> dict[str, tuple[str, ...]]:
     }
 
 
+def names_by_kind(model: Inventory) -> dict[str, tuple[str, ...]]:
+    """The names of all parts that a rule of randomization may name."""
+    return {
+        "actuator": tuple(filter(None, (actuator.name for actuator in model.actuators))),
+        "body": tuple(model.bodies),
+        "geom": tuple(model.geoms),
+        "joint": tuple(filter(None, (joint.name for joint in model.joints))),
+    }
+
+
 @dataclass(frozen=True)
 class ModelParts:
     """A model as a task names its parts. root: the body of the terms that name none. acting: the names of an

@@ -6,7 +6,7 @@ from typing import Any, Literal, Protocol
 
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
-from core.environments.terms.inventory import Inventory, inventory_of, parts_by_kind
+from core.environments.terms.inventory import Inventory, inventory_of, names_by_kind, parts_by_kind
 from core.environments.terms.rewards import Alive, Healthy
 from core.environments.terms.task import Reset, TaskOptions, control_step_s, task_slices
 from core.environments.terms.terminations import AnyTermination
@@ -41,6 +41,7 @@ def page(
         options=options,
         slices=lambda chosen: task_slices(task(chosen), parts, unit_of_action),
         parts=parts_by_kind(parts),
+        names=names_by_kind(parts),
         arguments={"body": id, "model": model, "task": task, **(reports or {})},
         **facts,
     )

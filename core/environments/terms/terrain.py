@@ -29,6 +29,8 @@ Kind = Literal[
     "pits",
 ]
 NUM_LEVELS = 10
+# What the names of the boxes begin with, before their number; and how many a terrain of all kinds has.
+BOX, MOST_BOXES = "terrain ", 23
 
 
 def _each_once(kinds: list[Kind]) -> list[Kind]:

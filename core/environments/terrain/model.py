@@ -4,12 +4,11 @@ import mujoco
 import numpy as np
 
 from core.environments.terms.describe import is_level_plane, touchable
-from core.environments.terms.terrain import Terrain
+from core.environments.terms.terrain import BOX, Terrain
 from core.environments.terrain.layouts import Layout, draw_layouts, num_upright
 from core.errors import JobFailed
 from core.reasons import Reason
 
-_NAME = "terrain "
 # As in the floor, so that a foot feels no difference.
 _LIKE_THE_FLOOR = (
     "conaffinity",
@@ -40,7 +39,7 @@ def add_boxes(spec: mujoco.MjSpec, model: mujoco.MjModel, terrain: Terrain) -> N
     ):
         kind = 2 if number >= num_upright(terrain) else number % 2
         box = spec.worldbody.add_geom(
-            name=f"{_NAME}{number}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=place, size=size, quat=turn
+            name=f"{BOX}{number}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=place, size=size, quat=turn
         )
         box.rgba = _COLOURS[kind]
         for name in _LIKE_THE_FLOOR:
@@ -53,13 +52,13 @@ def add_boxes(spec: mujoco.MjSpec, model: mujoco.MjModel, terrain: Terrain) -> N
 
 def boxes_of(model: mujoco.MjModel) -> np.ndarray:
     """The numbers of the terrain's boxes, in their order."""
-    return np.array([geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(_NAME)], int)
+    return np.array([geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BOX)], int)
 
 
 def floor_of(model: mujoco.MjModel) -> int:
     """The number of the one plane that is all of the world that can be touched."""
     _, fixed = touchable(model)
-    ground = [geom for geom in fixed if not model.geom(geom).name.startswith(_NAME)]
+    ground = [geom for geom in fixed if not model.geom(geom).name.startswith(BOX)]
     if len(ground) == 1 and is_level_plane(model, ground[0]):
         return int(ground[0])
     names = ", ".join(repr(model.geom(geom).name) for geom in ground[:3]) or "nothing"

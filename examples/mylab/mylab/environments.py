@@ -47,4 +47,5 @@ MONOPOD = Body(
         "events": [{"kind": "mylab/kick", "joints": ["hip", "knee"], "every_s": 2.0}],
         "termination": [{"kind": "height_range", "range": [0.25, 2.0]}],
     },
+    tuned={"ppo": {"cpu": {"num_timesteps": 1_000_000}}},
 )

@@ -10,10 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from core.algorithms import catalog as algorithms
+from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.ppo.tuned import MJCF
 from core.environments import catalog, plugins
 from core.environments.describe_bodies import bodies_of_plugin
 from core.environments.describe_terms import page_of_plugin
@@ -110,6 +114,35 @@ def test_the_body_of_a_package_is_a_row_that_trains(install: Install) -> None:
         catalog.resolve("mylab/monopod", {"root": "trunc"})
 
 
+def test_a_body_brings_hyperparameters(install: Install) -> None:
+    install()
+    monopod = catalog.find("mylab/monopod")
+    on_a_cpu = algorithms.tuned("ppo", monopod, "cpu")
+    assert on_a_cpu["num_timesteps"] == 1_000_000  # As the body says,
+    assert on_a_cpu["reward_scaling"] == MJCF["cpu"].reward_scaling  # and the rest as on `mjcf`.
+    assert algorithms.tuned("ppo", monopod, "gpu")["num_timesteps"] == 50_000_000
+    settings = algorithms.resolve(PPOSpec(num_envs=128), monopod, "cpu")
+    assert (settings.num_envs, settings.num_timesteps) == (128, 1_000_000)
+
+
+@pytest.mark.parametrize(
+    ("tuned", "problem"),
+    [
+        ('{"ppo": {"cpu": {"num_env": 8}}}', "tuned.ppo.cpu.num_env: Extra inputs are not permitted."),
+        ('{"ppo": {"tpu": {}}}', "tuned.ppo.tpu: there are the algorithms ppo, dqn, q_learning, sac, on cpu"),
+        ('{"ppo": {"gpu": {"num_envs": 100, "batch_size": 64}}}', "The body monopod: tuned.ppo.gpu: "),
+    ],
+)
+def test_hyperparameters_that_no_job_could_take_are_refused(
+    install: Install, tuned: str, problem: str
+) -> None:
+    def other(folder: Path) -> None:
+        code = folder / "environments.py"
+        code.write_text(code.read_text() + f"\nobject.__setattr__(MONOPOD, 'tuned', {tuned})\n")
+
+    assert problem in install(change=other).problem
+
+
 def test_the_table_of_the_example_is_that_of_its_model(install: Install) -> None:
     assert json.loads((EXAMPLE / TABLE).read_text()) == bodies_of_plugin(install())
 
@@ -193,7 +226,7 @@ def test_a_command_and_an_action_of_a_package_go_where_ours_go(install: Install)
     assert environment.action_size == 1
     before = environment.reset(jax.random.key(0))
     np.testing.assert_allclose(before.obs[0], before.info["target"][0] + before.physics.qpos[2], rtol=1e-6)
-    after = environment.step(before, np.array([0.25]))
+    after = environment.step(before, jnp.array([0.25]))
     assert after.info["target"] != before.info["target"]
     np.testing.assert_allclose(after.obs[0], after.info["target"][0] + after.physics.qpos[2], rtol=1e-6)
     control = 0.25 - 0.5 * before.physics.qpos[3]
@@ -236,7 +269,7 @@ def test_an_event_of_a_package_changes_the_velocities(install: Install) -> None:
     quiet = {"kind": "mylab/kick", "joints": ["hip"], "every_s": 0.02, "speed": 0.0}
     info, options = catalog.resolve("mylab/monopod", {"events": [quiet]})
     without = catalog.make(info, options, engine_builder("native"))
-    moved = [one.step(at_rest, np.zeros(2)).physics.qpos[2] for one in (environment, without)]
+    moved = [one.step(at_rest, jnp.zeros(2)).physics.qpos[2] for one in (environment, without)]
     assert abs(moved[0] - moved[1]) > 1e-3
 
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.environments.terms.terrain import Ground, Kind, Terrain
+from core.environments.terms.terrain import MOST_BOXES, Ground, Kind, Terrain
 from core.environments.terrain.layouts import Layout, draw_layouts, layout, num_boxes
 from core.environments.terrain.model import add_boxes, boxes_of
 
@@ -106,3 +106,7 @@ def test_only_boxes_that_are_used_are_there() -> None:
         "gaps": 9,
         "pits": 5,
     }
+
+
+def test_a_terrain_of_all_kinds_has_the_most_boxes() -> None:
+    assert num_boxes(Terrain(kinds=list(KINDS))) == MOST_BOXES

@@ -5,14 +5,16 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
+from core.algorithms.battery.result import Quantity
 from core.algorithms.ppo.spec import PPOSpec
 from core.jobs.resolved import resolve_job
 from core.jobs.spec import TrainSpec
+from gaitway.battery import _NAMES as SHOWN  # pyright: ignore[reportPrivateUsage]
 from gaitway.battery import shown_battery
 from tests.exports import policy_file
 from tests.probes import endless
@@ -109,3 +111,7 @@ def test_a_stopped_battery_leaves_nothing_but_a_note(tmp_path: Path) -> None:
     (note,) = told(tmp_path, stopped=True)
     assert note["text"] == "There is no battery: the job was stopped meanwhile."
     assert not (tmp_path / "battery.json").exists()
+
+
+def test_the_client_shows_every_quantity_in_its_order() -> None:
+    assert tuple(SHOWN) == get_args(Quantity)
