@@ -86,6 +86,13 @@ SHOWN = {
         },
         seed=2,
     ),
+    "go1-get-up": Shown(
+        {"environment": {"id": "go1", "options": {"task": "get_up"}}},
+        seconds=8,
+        num_steps=100,
+        num_episodes=4,
+        seed=1,
+    ),
     "g1": Shown({"environment": "g1"}, width=240, seconds=6, filmed={"command": _COMMAND}),
     "inverted_pendulum": Shown({"environment": "inverted_pendulum"}, width=160, beside_random=True),
     # It stands still when it has reached its target, so an episode of the picture takes 1.5 s.

@@ -144,7 +144,8 @@ def engines_that_cannot(description: Description | None, options: MjcfOptions) -
         return options.cannot_run
     # What was tried is the model as it was sent.
     tried = description.engines.items() if options.edits == ModelEdits() else ()
-    cannot = {**options.cannot_run, **{name: why for name, why in tried if why is not None}}
+    cannot = dict(options.cannot_run)
+    cannot |= {name: why for name, why in tried if why is not None}
     for sensor in description.inventory.sensors:
         if options.sensors is None or sensor.name in options.sensors:
             for engine, why in sensor.beyond.items():

@@ -328,7 +328,7 @@ G1 = _joystick(24_000_000, 10_000_000)
 GO1 = _joystick(12_000_000, 3_000_000)
 
 
-# Six seconds to get up; what is earned while standing counts from the ground on.
+# Five seconds to get up; what is earned while standing counts from the ground on.
 _GET_UP: Mapping[str, Any] = {
     "episode_length": 250,
     "discounting": 0.98,
@@ -350,7 +350,7 @@ def go1(options: Go1Options) -> Mapping[Device, PPOSpec]:
         case "rough":
             return _joystick(250_000_000, 30_000_000)
         case "get_up":
-            values = _joystick(100_000_000, 15_000_000)
+            values = _joystick(70_000_000, 10_000_000)
             return {device: settings.model_copy(update=_GET_UP) for device, settings in values.items()}
 
 

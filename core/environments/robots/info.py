@@ -107,7 +107,7 @@ class Go1Options(JoystickOptions):
 
     of_task: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "rough": rough(_reward_of_go1(0.14, tilt=0.5, climbing=0.1), lowest=0.03),
-        "get_up": get_up(standing=0.22),
+        "get_up": get_up(0.22, {".*_hip_joint": 0.9, ".*_thigh_joint": 2.0, ".*_calf_joint": 0.9}),
     }
 
     task: Literal["walk", "rough", "get_up"] = Field(

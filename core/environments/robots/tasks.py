@@ -64,12 +64,17 @@ def rough(reward: Sequence[AnyReward], lowest: float) -> Mapping[str, Any]:
     }
 
 
-def get_up(standing: float) -> Mapping[str, Any]:
-    """Gets up from any fall, and stands. standing: from this height of the root on it does, in m."""
+def get_up(standing: float, scale: Mapping[str, float]) -> Mapping[str, Any]:
+    """Gets up from any fall, and stands. standing: from this height of the root on it does, in m.
+
+    scale: of an action, by joint, in rad. Legs have to reach around the trunk: under the scale of walking,
+    62 % of the starts ended on their feet.
+    """
     stands: list[AnyTermination] = [NotUpright(least=0.8), OutsideHeightRange(range=(standing, None))]
     return {
         "command": None,
         "gait": None,
+        "action": JointPositionAction(scale=dict(scale)),
         "reset": Reset(keyframe=HOME, position_noise=0.01, velocity_noise=0.01, fallen=Fallen()),
         "termination": [],
         "observation": [
