@@ -170,6 +170,8 @@ class _Tape:
         """The results, if the argument `place` has starts along one axis of the first argument: of each
         start that there may be, the one that is there."""
         cells, axis = self.cells(read[place]), _axis_of_start(equation, place)
+        if not prod(shape := equation.outvars[0].aval.shape):
+            return [np.zeros(shape)]  # As what is seen of the next gaps where none is seen.
         if axis is None:
             return None
         there = cells.reshape(()) if cells.size == 1 else None
