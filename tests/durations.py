@@ -20,12 +20,12 @@ import pytest
 
 BUDGETS: dict[str, float] = {
     "e2e": 180,
-    "unit/environments": 150,
+    "unit/environments": 180,
     "unit/worker": 140,
     "learning": 175,
     "faults": 120,
     "api": 130,
-    "api/pages": 140,
+    "api/pages": 160,
     "unit/physics": 90,
     "unit/algorithms": 90,
     "contract": 100,
