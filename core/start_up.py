@@ -14,9 +14,8 @@ def start_lean() -> None:
     thresholds, looking for it took 0.9 of the 12 processor seconds of a robot's warm start.
     """
     gc.set_threshold(50_000, 20, 100)
-    put_off(
-        "glfw"
-    )  # MuJoCo imports it, and it starts processes to find its library. A training has no window.
+    # MuJoCo imports it, and it starts processes to find its library. A training has no window.
+    put_off("glfw")
 
 
 def put_off(name: str) -> None:
