@@ -4,8 +4,8 @@ Seconds are of the wall, and of the processor: of the test's process and of thos
 that the second number hardly depends on what else the machine does. A whole run fails where a folder takes
 more processor time than `BUDGETS` gives it: move what proves a promise twice to `./run test all`.
 
-A budget is some 30 % more than what was measured with nothing compiled, while other processes kept both cores
-busy: on a loaded machine the same work takes 10 to 30 % more processor time than on a quiet one.
+A budget is some 25 % more than what was measured with nothing compiled, on a machine whose host gave a tenth
+of its time to others: there, the same work takes a third more processor time than on a quiet one.
 """
 
 import json
@@ -19,19 +19,19 @@ from typing import Any
 import pytest
 
 BUDGETS: dict[str, float] = {
-    "e2e": 180,
-    "unit/environments": 180,
+    "e2e": 220,
+    "unit/environments": 250,
     "unit/worker": 140,
     "learning": 175,
-    "faults": 120,
-    "api": 130,
-    "api/pages": 160,
-    "unit/physics": 90,
-    "unit/algorithms": 90,
+    "faults": 140,
+    "api": 150,
+    "api/pages": 190,
+    "unit/physics": 110,
+    "unit/algorithms": 110,
     "contract": 100,
     "unit/rendering": 70,
     "unit/embedded": 60,
-    "unit/gaitway": 60,
+    "unit/gaitway": 80,
     "unit/jobs": 40,
     "architecture": 30,
     "unit": 30,

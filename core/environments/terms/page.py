@@ -12,7 +12,7 @@ from core.environments.terms.task import Reset, TaskOptions, control_step_s, tas
 from core.environments.terms.terminations import AnyTermination
 
 
-def page(
+def page(  # noqa: PLR0913 # A row's fields.
     id: str,
     model: str,
     task: Callable[[Any], TaskOptions],
@@ -20,21 +20,26 @@ def page(
     *,
     unit_of_action: str | None = "1",
     reports: Mapping[str, Any] | None = None,
+    vary: Callable[[Any], Mapping[str, Any]] | None = None,
     **facts: Any,
 ) -> EnvironmentInfo:
     """The row of a body whose options make the task.
 
     model: `module:function`, called as `function(id, options)`, which returns the specification and the
-    settings of the solver: see `core.environments.page_env`. reports: fields of `TaskSettings`. facts:
-    further fields of the row.
+    settings of the solver: see `core.environments.page_env`. reports: fields of `TaskSettings`. vary: as in
+    the row, besides the length of a step. facts: further fields of the row.
     """
     parts, default = _parts(id, model, options), task(options())
+
+    def dt(chosen: TaskOptions) -> float:
+        return round(control_step_s(chosen, parts), 9)
+
     return EnvironmentInfo(
         id=id,
         factory="core.environments.page_env:make",
         observation_size=task_slices(default, parts).observation_size,
         action_size=parts.sizes.nu,
-        dt=round(control_step_s(default, parts), 9),
+        dt=dt(default),
         episode_length=1000,
         tracked_body=parts.root,
         cameras=tuple(filter(None, parts.cameras)),
@@ -43,6 +48,7 @@ def page(
         parts=parts_by_kind(parts),
         names=names_by_kind(parts),
         arguments={"body": id, "model": model, "task": task, **(reports or {})},
+        vary=lambda chosen: {"dt": dt(task(chosen)), **(vary(chosen) if vary else {})},
         **facts,
     )
 

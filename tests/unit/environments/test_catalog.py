@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -72,6 +73,22 @@ def test_our_own_environments_come_first() -> None:
 def test_a_name_like_no_other_gets_no_guess() -> None:
     with pytest.raises(EnvironmentNotFound, match=r"'zzz'\. There are ant"):
         catalog.find("zzz")
+
+
+@pytest.mark.parametrize(
+    ("body", "options", "expected"),
+    [
+        ("rodent", {"n_frames": 2, "timestep": 0.005}, 0.01),
+        ("go1", {}, 0.02),
+        ("go1", {"n_frames": 2}, 0.01),  # of 0.005 s
+        ("go1", {"timestep": 0.004}, 0.02),  # as many as fill 0.02 s
+    ],
+)
+def test_the_seconds_of_an_action_follow_from_the_options(
+    body: str, options: dict[str, Any], expected: float
+) -> None:
+    info, _ = catalog.resolve(body, options)
+    assert info.dt == expected
 
 
 def test_options_that_are_not_given_take_their_defaults() -> None:

@@ -76,6 +76,7 @@ def _task(options: RodentOptions) -> TaskOptions:
         # Noise must not push it into the floor, which would throw it up.
         reset=noisy(noise, lift=noise),
         n_frames=options.n_frames,
+        timestep=options.timestep,
     )
 
 
