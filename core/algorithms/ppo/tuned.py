@@ -428,13 +428,11 @@ TUNED_BY_OPTIONS: dict[str, Callable[[Any], Mapping[Device, PPOSpec]]] = {
 }
 
 
-_of_a_package: Callable[[Any], Mapping[Device, PPOSpec]] = own_model
-
-
 def tuned(environment: EnvironmentInfo, device: Device) -> PPOSpec:
     """The values that fit the environment on this device; all others are unset."""
     values = TUNED.get(environment.id, {})
-    by_options = _of_a_package if environment.tuned is not None else TUNED_BY_OPTIONS.get(environment.id)
+    is_of_a_package = environment.tuned is not None
+    by_options = TUNED_BY_OPTIONS.get("mjcf" if is_of_a_package else environment.id)
     if by_options and (environment.chosen is not None or not environment.takes_model):
         values = by_options(environment.option_values)
     own = values.get(device, PPOSpec())
