@@ -30,7 +30,7 @@ from core.environments.terms.task import (
 )
 from core.environments.terms.terminations import NotUpright, OutsideHeightRange
 from core.environments.terms.vocabulary import AnyReward
-from core.environments.terms.walking import CLIMBING, OBSERVATION, TILT, walking_reward
+from core.environments.terms.walking import OBSERVATION, ON_THE_FLAT, TorsoTerms, walking_reward
 from core.physics.availability import Rule
 
 ROBOTS = {robot.name: robot for robot in (G1, GO1)}
@@ -69,22 +69,22 @@ class JoystickOptions(TaskOptions):
         return {**cls.of_task[task], **given} if isinstance(task, str) and task in cls.of_task else given
 
 
-def _reward_of_g1(swing: float, sideways: float, *, tilt: float, climbing: float) -> list[AnyReward]:
+def _reward_of_g1(swing: float, sideways: float, torso: TorsoTerms) -> list[AnyReward]:
     posture = Posture(weight=0.15, weights={_SIDEWAYS: sideways, _LEGS: 0.0, ".*": 1.0})
-    costs = [ControlCost(weight=0.002)]
-    return walking_reward(swing, posture, costs, _LIMITS, tilt=tilt, climbing=climbing)
+    return walking_reward(swing, posture, [ControlCost(weight=0.002)], _LIMITS, torso)
 
 
 class G1Options(JoystickOptions):
     """Unitree's G1 that walks by command, on a floor."""
 
     of_task: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "rough": rough(_reward_of_g1(0.18, sideways=0.1, tilt=0.4, climbing=0.1), lowest=0.3)
+        "rough": rough(_reward_of_g1(0.18, 0.1, TorsoTerms(tilt=0.4, climbing=0.1, turning=3.0)), lowest=0.3)
     }
 
     task: Literal["walk", "rough"] = Field(default="walk", description=_TASK)
     reward: Rewards = Field(
-        default=_reward_of_g1(0.1, sideways=0.5, tilt=TILT, climbing=CLIMBING), description="Terms to sum."
+        default=_reward_of_g1(0.1, 0.5, ON_THE_FLAT),
+        description="Terms to sum.",
     )
     termination: Terminations = Field(
         default=[NotUpright(least=0.5), OutsideHeightRange(range=(0.4, 2.0))],
@@ -98,24 +98,22 @@ class G1Options(JoystickOptions):
     )
 
 
-def _reward_of_go1(swing: float, *, tilt: float, climbing: float) -> list[AnyReward]:
-    return walking_reward(swing, Posture(weight=0.1), of_joints=_LIMITS, tilt=tilt, climbing=climbing)
+def _reward_of_go1(swing: float, torso: TorsoTerms) -> list[AnyReward]:
+    return walking_reward(swing, Posture(weight=0.1), of_joints=_LIMITS, torso=torso)
 
 
 class Go1Options(JoystickOptions):
     """Unitree's Go1 that walks by command, on a floor."""
 
     of_task: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "rough": rough(_reward_of_go1(0.14, tilt=0.5, climbing=0.1), lowest=0.03),
+        "rough": rough(_reward_of_go1(0.14, TorsoTerms(tilt=0.5, climbing=0.1)), lowest=0.03),
         "get_up": get_up(0.22, {".*_hip_joint": 0.9, ".*_thigh_joint": 2.0, ".*_calf_joint": 0.9}),
     }
 
     task: Literal["walk", "rough", "get_up"] = Field(
         default="walk", description=f"{_TASK} get_up: from any fall, and stand."
     )
-    reward: Rewards = Field(
-        default=_reward_of_go1(0.08, tilt=TILT, climbing=CLIMBING), description="Terms to sum."
-    )
+    reward: Rewards = Field(default=_reward_of_go1(0.08, ON_THE_FLAT), description="Terms to sum.")
     termination: Terminations = Field(
         default=[NotUpright(least=0.5), OutsideHeightRange(range=(0.12, 1.0))],
         description="Terms, any of which ends the episode.",

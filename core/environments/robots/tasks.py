@@ -1,7 +1,7 @@
 """The catalog's robots' tasks besides walking on the flat: what a job's other options then are.
 
-The noise and the delays are of the size that mjlab and Isaac Lab give their quadrupeds; the weights are those
-of `python -m bench.robots` (docs/environments/robots.md).
+The noise and the delays are about as large as those of mjlab's, Isaac Lab's and Playground's quadrupeds. What
+the weights reach is in docs/environments/robots.md, and what others did not in docs/what_did_not_help.md.
 """
 
 from collections.abc import Mapping, Sequence

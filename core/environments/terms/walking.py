@@ -1,6 +1,7 @@
 """The observations and rewards of robots that walk by command: the catalog's, and users' by a recipe."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from core.environments.terms.foot_terms import FootSlip, SwingHeight
 from core.environments.terms.locomotion import (
@@ -32,8 +33,19 @@ OBSERVATION: list[AnyObservation] = [
     PreviousAction(),
     GaitPhase(),
 ]
-# On the flat: the tolerance of `flat_orientation`, and the weight of `vertical_velocity`.
-TILT, CLIMBING = 0.3, 0.5
+
+
+@dataclass(frozen=True)
+class TorsoTerms:
+    """tilt: the tolerance of `flat_orientation`. climbing, turning: the weights of `vertical_velocity` and of
+    `track_angular_velocity`. By default those for the flat."""
+
+    tilt: float = 0.3
+    climbing: float = 0.5
+    turning: float = 2.0
+
+
+ON_THE_FLAT = TorsoTerms()
 
 
 def walking_reward(
@@ -41,22 +53,20 @@ def walking_reward(
     posture: Posture,
     of_actions: Sequence[AnyReward] = (),
     of_joints: Sequence[AnyReward] = (),
-    *,
-    tilt: float = TILT,
-    climbing: float = CLIMBING,
+    torso: TorsoTerms = ON_THE_FLAT,
 ) -> list[AnyReward]:
     """The reward's terms. swing: the highest point of a foot's swing, in m. of_actions, of_joints: further
-    terms, in their places of the sum. tilt, climbing: see above."""
+    terms, in their places of the sum."""
     return [
         TrackLinearVelocity(weight=2.0),
-        TrackAngularVelocity(weight=2.0),
+        TrackAngularVelocity(weight=torso.turning),
         SwingHeight(height=swing),
-        FlatOrientation(tolerance=tilt),
+        FlatOrientation(tolerance=torso.tilt),
         posture,
         ActionRate(weight=0.02),
         *of_actions,
         RollPitchRate(weight=0.05),
-        VerticalVelocity(weight=climbing),
+        VerticalVelocity(weight=torso.climbing),
         FootSlip(weight=0.1),
         JointVelocityCost(weight=0.0005),
         *of_joints,
