@@ -90,7 +90,7 @@ COPY . .
 RUN python -m hatchling build -t wheel:editable -d /tmp/wheel \
     && python -m uv pip install --python /opt/gaitway/bin/python --no-deps /tmp/wheel/*.whl \
     && chmod -R a+rX . \
-    && python -m compileall -q api core gaitway worker
+    && python -m compileall -q api core gaitway mujoco_compiled worker
 
 # ---- the images ----------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import grimp
 
-_PACKAGES = ("api", "bench", "core", "gaitway", "tests", "worker")
+_PACKAGES = ("api", "bench", "core", "gaitway", "mujoco_compiled", "tests", "worker")
 _FIXTURE = re.compile(r"^@pytest\.fixture.*\n(?:async )?def (\w+)", re.MULTILINE)
 
 

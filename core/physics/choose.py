@@ -57,8 +57,8 @@ class _Builder:
                 return WarpEngine(with_enough_iterations(model, accelerated), num_substeps, derived)
             case "compiled":
                 check_installed("compiled")
-                from core.physics.compiled.engine import CompiledEngine
-                from core.physics.compiled.refusal import check_solver
+                from mujoco_compiled.engine import CompiledEngine
+                from mujoco_compiled.refusal import check_solver
 
                 check_solver(accelerated)
                 return CompiledEngine(with_solver_of_compiled(model, accelerated), num_substeps, derived)

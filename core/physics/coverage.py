@@ -11,9 +11,9 @@ import numpy as np
 
 from core.errors import JobFailed
 from core.physics.availability import EngineName, beyond
-from core.physics.compiled.named import named, where
-from core.physics.compiled.readings.sensor_coverage import unread
 from core.reasons import Reason
+from mujoco_compiled.named import named, where
+from mujoco_compiled.readings.sensor_coverage import unread
 
 # MuJoCo makes the edges of a friction pyramid stiffer than its contact by 1 / (2 · friction²). With less
 # friction than this, single precision has no digits left for the contact itself.

@@ -25,7 +25,7 @@ _SYSTEM = (
     *("/etc/ld.so.cache", "/etc/localtime", "/dev/null", "/dev/zero", "/dev/urandom"),
     *("/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/self", "/sys/devices/system/cpu"),
 )
-PACKAGES = ("core", "worker", "gaitway")
+PACKAGES = ("core", "mujoco_compiled", "worker", "gaitway")
 
 
 @dataclass(frozen=True)

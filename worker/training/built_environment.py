@@ -25,8 +25,8 @@ from core.jobs.resolved import ResolvedJob, resolve_job
 from core.jobs.spec import RolloutSpec
 from core.physics.availability import CHOOSE_ANOTHER, EngineChoice, EngineName, choose, share_states
 from core.physics.choose import engine_builder, set_warp_cache
-from core.physics.compiled.code.kept_code import keep_code
 from core.reasons import Reason
+from mujoco_compiled.code.kept_code import keep_code
 from worker.compile_cache.local import CACHE
 from worker.protocol import Started, Task
 from worker.training import hosts

@@ -19,9 +19,9 @@ from core.environments.terms.inventory import Inventory
 from core.environments.terms.task import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.errors import BadModel, JobFailed
 from core.physics.availability import EngineName
-from core.physics.compiled.refusal import check_covered
 from core.physics.coverage import check_runs, unread_sensors
 from core.user_models.record import Description
+from mujoco_compiled.refusal import check_covered
 from worker.validation.letting_go import let_go, notes
 from worker.validation.trials import tried, what_keeps, with_choices
 

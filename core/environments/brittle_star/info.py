@@ -101,7 +101,7 @@ def _of_a_generator(options: Options) -> Iterator[Slice]:
     yield named("frequency", ("all oscillators",), "rad/s", 0.0, cpg.max_frequency)
 
 
-# `core.physics.compiled.coverage.MOST_ROWS`, which cannot be imported without MuJoCo.
+# `mujoco_compiled.coverage.MOST_ROWS`, which cannot be imported without MuJoCo.
 _MOST_ROWS = 2_000
 # MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
 _MAX_SEGMENTS_ON_MJX = 50
@@ -142,7 +142,7 @@ def _under(options: Options) -> Mapping[str, Any]:
 
 
 def _is_quick_on_a_gpu(options: Options) -> bool:
-    """Whether each arm is a thread's, in one function; see `core.physics.compiled.code.function_source`."""
+    """Whether each arm is a thread's, in one function; see `mujoco_compiled.code.function_source`."""
     alike = len(set(options.segments)) == 1 and options.segments[0] <= _MOST_SEGMENTS_ON_A_GPU
     return alike and options.walls != "contacts"
 

@@ -23,10 +23,10 @@ from core.environments.task_model import compiled
 from core.environments.terms.actuation import add_motor, position_servos
 from core.environments.terms.describe import near_world
 from core.errors import JobFailed
-from core.physics.compiled.coverage import uncovered
 from core.physics.model import initial_qpos
 from core.reasons import Reason
 from core.rendering import floor, scene
+from mujoco_compiled.coverage import uncovered
 
 _DRIVEN = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _ON_A_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)

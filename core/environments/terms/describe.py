@@ -10,8 +10,8 @@ import numpy as np
 
 from core.environments.terms.actuation import kind_of, motor_of
 from core.environments.terms.inventory import Actuator, Inventory, Joint, JointType, Sensor, Sizes
-from core.physics.compiled.constraints.pairs import listed_geoms, touching_geoms
 from core.physics.model import initial_qpos
+from mujoco_compiled.constraints.pairs import listed_geoms, touching_geoms
 
 JOINT_TYPES: dict[Any, JointType] = {
     mujoco.mjtJoint.mjJNT_FREE: "free",

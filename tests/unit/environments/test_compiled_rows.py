@@ -8,9 +8,9 @@ import pytest
 from core.environments import catalog
 from core.environments.randomization import FIELDS
 from core.errors import JobFailed
-from core.physics.compiled.refusal import check_covered, check_own, check_solver
 from core.physics.engine import CONSTANTS, Engine, SolverSettings
 from core.physics.model import with_solver_of_compiled
+from mujoco_compiled.refusal import check_covered, check_own, check_solver
 from tests.extra import extra
 
 # Options that change the model, and not only the reward.

@@ -7,9 +7,9 @@ from core.errors import JobFailed
 from core.physics import availability, native
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
-from core.physics.compiled import engine
 from core.physics.engine import SolverSettings
 from core.physics.model import brax_model
+from mujoco_compiled import engine
 
 
 @pytest.mark.parametrize("name", ["warp", "compiled"])

@@ -8,10 +8,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from core.physics.compiled.program.arithmetic import Vector
-from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import Model, SubstepState, substep
+from mujoco_compiled.program.arithmetic import Vector
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.program import Program
+from mujoco_compiled.substep import Model, SubstepState, substep
 
 FIELDS = ("qpos", "qvel", "act", "qacc")
 

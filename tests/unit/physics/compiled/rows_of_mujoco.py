@@ -4,15 +4,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.physics.compiled.constraints.cone import Cone
-from core.physics.compiled.constraints.constraints import ConstraintState, constraint_rows, read_constraints
-from core.physics.compiled.constraints.laws import Pyramid
-from core.physics.compiled.constraints.rows import ConstraintRows, by_group, times
-from core.physics.compiled.fields import NOMINAL, Own
-from core.physics.compiled.program.arithmetic import Vector
-from core.physics.compiled.smooth.dynamics import motion
-from core.physics.compiled.smooth.kinematics import poses
-from core.physics.compiled.smooth.tree import read_tree
+from mujoco_compiled.constraints.cone import Cone
+from mujoco_compiled.constraints.constraints import ConstraintState, constraint_rows, read_constraints
+from mujoco_compiled.constraints.laws import Pyramid
+from mujoco_compiled.constraints.rows import ConstraintRows, by_group, times
+from mujoco_compiled.fields import NOMINAL, Own
+from mujoco_compiled.program.arithmetic import Vector
+from mujoco_compiled.smooth.dynamics import motion
+from mujoco_compiled.smooth.kinematics import poses
+from mujoco_compiled.smooth.tree import read_tree
 
 Array = NDArray[np.float64]
 

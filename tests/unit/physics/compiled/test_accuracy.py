@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import SubstepState, read_model, substep
 from core.physics.model import with_solver_of_compiled
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.program import Program
+from mujoco_compiled.substep import SubstepState, read_model, substep
 from tests.extra import extra
 from tests.unit.physics.compiled.test_machine_code import run
 from tests.unit.physics.compiled.test_substep import (

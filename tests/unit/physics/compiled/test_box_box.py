@@ -20,10 +20,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.physics.compiled.collisions.box_box import box_box
-from core.physics.compiled.collisions.shapes import Placed, Touch
-from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.program import Program
+from mujoco_compiled.collisions.box_box import box_box
+from mujoco_compiled.collisions.shapes import Placed, Touch
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.program import Program
 from tests.unit.physics.compiled.test_ellipsoid_box import UNTURNED
 from tests.unit.physics.compiled.test_machine_code import run
 

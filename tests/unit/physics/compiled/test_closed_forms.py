@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import SubstepState, control_step, read_model
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.program import Program
+from mujoco_compiled.substep import SubstepState, control_step, read_model
 from tests.extra import extra
 from tests.unit.physics.compiled.test_machine_code import run
 from tests.unit.physics.compiled.test_substep import THOROUGH

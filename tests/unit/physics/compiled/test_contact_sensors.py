@@ -8,11 +8,12 @@ import pytest
 
 from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.options import DirectedOptions
-from core.physics.compiled.coverage import uncovered, uncovered_fields
-from core.physics.compiled.fields import Fields
-from core.physics.compiled.readings.scene import Scene
-from core.physics.compiled.readings.sensors import sensor_values
-from core.physics.compiled.substep import (
+from core.physics.model import initial_qpos
+from mujoco_compiled.coverage import uncovered, uncovered_fields
+from mujoco_compiled.fields import Fields
+from mujoco_compiled.readings.scene import Scene
+from mujoco_compiled.readings.sensors import sensor_values
+from mujoco_compiled.substep import (
     Model,
     Moved,
     SubstepState,
@@ -22,7 +23,6 @@ from core.physics.compiled.substep import (
     unmoved,
     with_sensors,
 )
-from core.physics.model import initial_qpos
 from tests.unit.physics.compiled.test_contacts import PLANE, at_random, meeting
 from tests.unit.physics.compiled.test_substep import converge, of_all, relative
 

@@ -9,8 +9,8 @@ import pytest
 
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
-from core.physics.compiled.coverage import uncovered
-from core.physics.compiled.substep import SubstepState, read_model
+from mujoco_compiled.coverage import uncovered
+from mujoco_compiled.substep import SubstepState, read_model
 from tests.extra import extra
 from tests.unit.physics.compiled.recorded_substep import recorded
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.compiled.constraints.body_rows import BodyGroup
-from core.physics.compiled.constraints.rows import RowGroup, by_group, curvature, pulled_back, times
-from core.physics.compiled.coverage import uncovered
-from core.physics.compiled.fields import NOMINAL
-from core.physics.compiled.program.arithmetic import Vector
+from mujoco_compiled.constraints.body_rows import BodyGroup
+from mujoco_compiled.constraints.rows import RowGroup, by_group, curvature, pulled_back, times
+from mujoco_compiled.coverage import uncovered
+from mujoco_compiled.fields import NOMINAL
+from mujoco_compiled.program.arithmetic import Vector
 from tests.unit.physics.compiled.rows_of_mujoco import Array, assert_same_rows, rows_of
 
 NUM_STATES = 100

@@ -3,8 +3,8 @@
 import mujoco
 import pytest
 
-from core.physics.compiled.coverage import MOST_ROWS, uncovered
 from core.physics.model import brax_model
+from mujoco_compiled.coverage import MOST_ROWS, uncovered
 
 BODY = """
 <mujoco>

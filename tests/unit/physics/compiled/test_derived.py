@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.compiled.coverage import uncovered_fields
-from core.physics.compiled.fields import Fields
-from core.physics.compiled.readings.derived import DERIVED_FIELDS as OURS
-from core.physics.compiled.readings.derived import derived
-from core.physics.compiled.readings.scene import Scene
 from core.physics.engine import DERIVED_FIELDS
 from core.physics.model import brax_model
+from mujoco_compiled.coverage import uncovered_fields
+from mujoco_compiled.fields import Fields
+from mujoco_compiled.readings.derived import DERIVED_FIELDS as OURS
+from mujoco_compiled.readings.derived import derived
+from mujoco_compiled.readings.scene import Scene
 
 NUM_STATES = 8
 assert set(OURS) == set(DERIVED_FIELDS)

@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.compiled.collisions.ellipsoid_box import ellipsoid_box
-from core.physics.compiled.collisions.shapes import Placed
-from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.program import Program
+from mujoco_compiled.collisions.ellipsoid_box import ellipsoid_box
+from mujoco_compiled.collisions.shapes import Placed
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.program import Program
 
 NUM_STATES = 2000
 SIZE, RADII = [0.5, 0.4, 0.3], [0.03, 0.05, 0.08]

@@ -4,12 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.compiled.lanes.lane_constants import NotAlike
-from core.physics.compiled.lanes.limbs import find_limbs
-from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.program import Assign, Program, Statement
-from core.physics.compiled.write import Plan, control_step_in_lanes, control_step_program
 from core.physics.model import brax_model
+from mujoco_compiled.lanes.lane_constants import NotAlike
+from mujoco_compiled.lanes.limbs import find_limbs
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.program import Assign, Program, Statement
+from mujoco_compiled.write import Plan, control_step_in_lanes, control_step_program
 from tests.extra import extra
 from tests.unit.physics.compiled.test_substep import of_all, of_environment, states
 

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.options import DirectedOptions
 from core.environments.dm_control.rodent.model import rodent_model
-from core.physics.compiled.coverage import uncovered
-from core.physics.compiled.program.arithmetic import Vector, add
-from core.physics.compiled.smooth.actuation import ActuatorState, driven
-from core.physics.compiled.smooth.dynamics import mass_matrix, motion, projected
-from core.physics.compiled.smooth.fluid import drag_forces
-from core.physics.compiled.smooth.forces import passive_forces, weight_held
-from core.physics.compiled.smooth.kinematics import poses
-from core.physics.compiled.smooth.spatial import rotation_vector
-from core.physics.compiled.smooth.tendons import tendon_forces, with_armature
-from core.physics.compiled.substep import Model, SubstepState, control_step, read_model, substep
+from mujoco_compiled.coverage import uncovered
+from mujoco_compiled.program.arithmetic import Vector, add
+from mujoco_compiled.smooth.actuation import ActuatorState, driven
+from mujoco_compiled.smooth.dynamics import mass_matrix, motion, projected
+from mujoco_compiled.smooth.fluid import drag_forces
+from mujoco_compiled.smooth.forces import passive_forces, weight_held
+from mujoco_compiled.smooth.kinematics import poses
+from mujoco_compiled.smooth.spatial import rotation_vector
+from mujoco_compiled.smooth.tendons import tendon_forces, with_armature
+from mujoco_compiled.substep import Model, SubstepState, control_step, read_model, substep
 
 NUM_STATES = 8
 PULLED = """

@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from core.physics.compiled.code.gpu_kernel import gpu_kernel, most_warps
-from core.physics.compiled.program.arithmetic import Number, sine
-from core.physics.compiled.program.flow import repeat, where_needed
-from core.physics.compiled.program.program import Program
+from mujoco_compiled.code.gpu_kernel import gpu_kernel, most_warps
+from mujoco_compiled.program.arithmetic import Number, sine
+from mujoco_compiled.program.flow import repeat, where_needed
+from mujoco_compiled.program.program import Program
 
 WAIT, ASK = "call void @llvm.nvvm.barrier", "call i1 @llvm.nvvm.barrier"
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from core.physics.compiled.code.cpu_function import cpu_function
-from core.physics.compiled.code.machine_code import loaded, machine_code
-from core.physics.compiled.program.arithmetic import Number, sine, sqrt
-from core.physics.compiled.program.flow import repeat, where_needed
-from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import SubstepState, control_step, read_model
+from mujoco_compiled.code.cpu_function import cpu_function
+from mujoco_compiled.code.machine_code import loaded, machine_code
+from mujoco_compiled.program.arithmetic import Number, sine, sqrt
+from mujoco_compiled.program.flow import repeat, where_needed
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.program import Program
+from mujoco_compiled.substep import SubstepState, control_step, read_model
 from tests.extra import extra
 from tests.unit.physics.compiled.test_substep import NUM_STATES, converged, of_all, states
 

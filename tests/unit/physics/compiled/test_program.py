@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from core.physics.compiled.program.arithmetic import Number, select, sqrt
-from core.physics.compiled.program.flow import needed, repeat, where_needed
-from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.program import Assign, Branch, Program
-from core.physics.compiled.substep import SubstepState, read_model, substep
+from mujoco_compiled.program.arithmetic import Number, select, sqrt
+from mujoco_compiled.program.flow import needed, repeat, where_needed
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.program import Assign, Branch, Program
+from mujoco_compiled.substep import SubstepState, read_model, substep
 from tests.unit.physics.compiled.test_substep import converged, of_all, states
 
 

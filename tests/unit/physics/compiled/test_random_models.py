@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.physics.compiled.coverage import uncovered
-from core.physics.compiled.program.arithmetic import Vector
-from core.physics.compiled.substep import Model, SubstepState, read_model
+from mujoco_compiled.coverage import uncovered
+from mujoco_compiled.program.arithmetic import Vector
+from mujoco_compiled.substep import Model, SubstepState, read_model
 from tests.unit.physics.compiled.random_models import random_model
 from tests.unit.physics.compiled.recorded_substep import recorded
 from tests.unit.physics.compiled.test_substep import THOROUGH, Arrays, converge, of_all

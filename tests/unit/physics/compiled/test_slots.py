@@ -5,15 +5,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from core.physics.compiled.code.cpu_function import cpu_function
-from core.physics.compiled.code.gpu_kernel import gpu_kernel
-from core.physics.compiled.code.machine_code import loaded, machine_code
-from core.physics.compiled.code.ptx import ptx
-from core.physics.compiled.code.slots import Section, slotted
-from core.physics.compiled.program.arithmetic import Number, cosine, dot, maximum, select, sine, total
-from core.physics.compiled.program.flow import repeat, where_needed
-from core.physics.compiled.program.program import Program
-from core.physics.compiled.substep import SubstepState, control_step, read_model
+from mujoco_compiled.code.cpu_function import cpu_function
+from mujoco_compiled.code.gpu_kernel import gpu_kernel
+from mujoco_compiled.code.machine_code import loaded, machine_code
+from mujoco_compiled.code.ptx import ptx
+from mujoco_compiled.code.slots import Section, slotted
+from mujoco_compiled.program.arithmetic import Number, cosine, dot, maximum, select, sine, total
+from mujoco_compiled.program.flow import repeat, where_needed
+from mujoco_compiled.program.program import Program
+from mujoco_compiled.substep import SubstepState, control_step, read_model
 from tests.extra import extra
 from tests.unit.physics.compiled.test_substep import converged, of_all, states
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.physics.compiled.program.arithmetic import Vector
-from core.physics.compiled.smooth.actuation import ActuatorState, driven, read_actuators
-from core.physics.compiled.smooth.dynamics import Entries, bias_forces, mass_matrix, motion
-from core.physics.compiled.smooth.factor import factorize, multiply, solve
-from core.physics.compiled.smooth.forces import passive_forces
-from core.physics.compiled.smooth.kinematics import poses
-from core.physics.compiled.smooth.tree import Tree, read_tree
 from core.physics.model import brax_model
+from mujoco_compiled.program.arithmetic import Vector
+from mujoco_compiled.smooth.actuation import ActuatorState, driven, read_actuators
+from mujoco_compiled.smooth.dynamics import Entries, bias_forces, mass_matrix, motion
+from mujoco_compiled.smooth.factor import factorize, multiply, solve
+from mujoco_compiled.smooth.forces import passive_forces
+from mujoco_compiled.smooth.kinematics import poses
+from mujoco_compiled.smooth.tree import Tree, read_tree
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
 
 NUM_STATES = 16

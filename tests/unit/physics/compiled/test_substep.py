@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from core.environments import catalog
 from core.physics.choose import engine_builder
-from core.physics.compiled.substep import SubstepState, read_model
 from core.physics.engine import Engine, SolverSettings
 from core.physics.model import brax_model, initial_qpos
+from mujoco_compiled.substep import SubstepState, read_model
 from tests.extra import extra
 from tests.unit.physics.compiled.recorded_substep import recorded
 

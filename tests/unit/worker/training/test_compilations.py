@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from core.physics.compiled.code import kept_code
+from mujoco_compiled.code import kept_code
 from worker.training.built_environment import keep_machine_code
 
 

@@ -1,0 +1,351 @@
+"""A program's operations as LLVM's instructions, on numbers of an environment or of several in a vector.
+
+Source: LLVM's language reference. Products and sums may be fused, and nothing is reordered: an environment's
+numbers do not depend on its neighbours.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from mujoco_compiled.code.steps import Step, Write, num_operations
+from mujoco_compiled.program.program import Assign, Branch, Loop, Operation
+
+_INSTRUCTIONS: Mapping[Operation, str] = {
+    "add": "fadd contract",
+    "subtract": "fsub contract",
+    "multiply": "fmul contract",
+    "negate": "fneg",
+}
+_INTRINSICS = ("sqrt", "fabs", "fma")
+
+
+@dataclass(frozen=True)
+class Barrier:
+    """How threads that run side by side wait for each other, in LLVM's words.
+
+    every: operations from one barrier to the next; a shorter loop goes on in each thread for itself. wait:
+    the call. any: of a truth value, whether it is true in one of the threads, which meet there, too.
+    """
+
+    every: int
+    wait: str
+    any: str
+
+
+@dataclass(frozen=True)
+class Target:
+    """How a kind of processor takes numbers.
+
+    width: environments in a vector; 1: no vector. allowed: what a division and a square root may do besides
+    rounding correctly, in LLVM's words. barrier: None: a thread does not wait for others.
+    """
+
+    width: int
+    allowed: str
+    barrier: Barrier | None = None
+
+    @property
+    def number(self) -> str:
+        return self.of("float")
+
+    @property
+    def integer(self) -> str:
+        return self.of("i32")
+
+    @property
+    def truth(self) -> str:
+        return self.of("i1")
+
+    @property
+    def suffix(self) -> str:
+        """The end of an intrinsic function's name."""
+        return "f32" if self.width == 1 else f"v{self.width}f32"
+
+    def of(self, element: str) -> str:
+        return element if self.width == 1 else f"<{self.width} x {element}>"
+
+    def constant(self, value: float) -> str:
+        # LLVM writes a float32 as the bits of the equal float64.
+        return self.splat("float", f"0x{np.float64(np.float32(value)).view(np.uint64):016X}")
+
+    def splat(self, element: str, value: str) -> str:
+        return value if self.width == 1 else f"splat ({element} {value})"
+
+    def declarations(self) -> list[str]:
+        """LLVM's declarations of the functions that `Writer` calls."""
+        number = self.number
+        found = [f"declare {number} @llvm.{one}.{self.suffix}({number})" for one in _INTRINSICS[:2]]
+        found.append(f"declare {number} @llvm.fma.{self.suffix}({number}, {number}, {number})")
+        if self.width > 1:
+            found.append(f"declare i1 @llvm.vector.reduce.or.v{self.width}i1({self.truth})")
+        return found
+
+
+class Memory(Protocol):
+    """Where inputs and outputs are, and how lanes meet. places, values: by lane, or one for all lanes."""
+
+    def load(self, writer: "Writer", target: str, name: str, places: Sequence[int]) -> None: ...
+
+    def store(self, writer: "Writer", name: str, places: Sequence[int], value: str) -> None: ...
+
+    def lane_constant(self, writer: "Writer", target: str, values: Sequence[float]) -> None: ...
+
+    def lane_sum(self, writer: "Writer", target: str, value: str) -> None: ...
+
+
+@dataclass
+class Writer:
+    """The body of a function. block: the label of the block that is being written."""
+
+    target: Target
+    memory: Memory
+    block: str
+    lines: list[str] = field(default_factory=list[str])
+    _num_names: int = 0
+    _num_since_barrier: int = 0
+    _num_alone: int = 0  # parts around the block through which a thread goes alone
+    _constants: dict[int, str] = field(default_factory=dict[int, str])
+    # By the name of an angle: sine and cosine of what is left of it, and its quadrant.
+    _angles: dict[str, tuple[str, str, str]] = field(default_factory=dict[str, tuple[str, str, str]])
+
+    def name(self) -> str:
+        self._num_names += 1
+        return f"%t{self._num_names}"
+
+    def line(self, text: str) -> None:
+        self.lines.append(f"  {text}")
+
+    def value(self, text: str) -> str:
+        """The name of the instruction's result."""
+        name = self.name()
+        self.line(f"{name} = {text}")
+        return name
+
+    def begin_block(self, label: str) -> None:
+        """The block that follows this one."""
+        self.line(f"br label %{label}")
+        self.lines.append(f"{label}:")
+        self.block = label
+
+    def write(self, steps: Sequence[Step]) -> None:
+        for step in steps:
+            self._meet_before(step)
+            match step:
+                case Loop():
+                    self._loop(step)
+                case Branch():
+                    self._branch(step)
+                case Write():
+                    self.memory.store(self, step.output, step.places, self.operand(step.variable))
+                case Assign():
+                    self._assign(step)
+
+    def _meet_before(self, step: Step) -> None:
+        if self.target.barrier is None:
+            return
+        self._num_since_barrier += num_operations([step])
+        if self._barrier is not None and self._num_since_barrier > self._barrier.every:
+            self.line(self._barrier.wait)
+            self._num_since_barrier = 0
+
+    @property
+    def _barrier(self) -> Barrier | None:
+        return None if self._num_alone else self.target.barrier
+
+    def operand(self, variable: int | float | str) -> str:
+        """The variable's name, or its value if it is a constant."""
+        return self._constants.get(int(variable)) or f"%v{variable}"
+
+    def _assign(self, statement: Assign) -> None:
+        target, operation, arguments = f"%v{statement.target}", statement.operation, statement.arguments
+        match operation:
+            case "input" | "lane_input":
+                name, *places = arguments
+                self.memory.load(self, target, str(name), [int(place) for place in places])
+            case "lane_constant":
+                self.memory.lane_constant(self, target, [float(value) for value in arguments])
+            case "lane_sum":
+                self.memory.lane_sum(self, target, self.operand(arguments[0]))
+            case "constant":
+                self._constants[statement.target] = self.target.constant(float(arguments[0]))
+            case "minimum" | "maximum" | "less" | "and" | "not" | "select":
+                self._choose(target, operation, [self.operand(one) for one in arguments])
+            case _:
+                self._compute(target, operation, [self.operand(one) for one in arguments])
+
+    def _compute(self, target: str, operation: Operation, names: list[str]) -> None:
+        number, suffix, allowed = self.target.number, self.target.suffix, self.target.allowed
+        match operation:
+            case "divide":
+                self.line(f"{target} = fdiv {allowed} {number} {names[0]}, {names[1]}")
+            case "sqrt":
+                self.line(f"{target} = call {allowed} {number} @llvm.sqrt.{suffix}({number} {names[0]})")
+            case "absolute":
+                self.line(f"{target} = call {number} @llvm.fabs.{suffix}({number} {names[0]})")
+            case "sin" | "cos":
+                self._turn(target, operation, names[0])
+            case _:
+                self.line(f"{target} = {_INSTRUCTIONS[operation]} {number} {', '.join(names)}")
+
+    def _choose(self, target: str, operation: Operation, names: list[str]) -> None:
+        number, truth = self.target.number, self.target.truth
+        match operation:
+            case "less":
+                self.line(f"{target} = fcmp olt {number} {names[0]}, {names[1]}")
+            case "and":
+                self.line(f"{target} = and {truth} {names[0]}, {names[1]}")
+            case "not":
+                self.line(f"{target} = xor {truth} {names[0]}, {self.target.splat('i1', 'true')}")
+            case "select":
+                self.select(target, *names)
+            case _:
+                order = "olt" if operation == "minimum" else "ogt"
+                is_first = self.value(f"fcmp {order} {number} {names[0]}, {names[1]}")
+                self.select(target, is_first, names[0], names[1])
+
+    def select(self, target: str, condition: str, chosen: str, otherwise: str) -> None:
+        number, truth = self.target.number, self.target.truth
+        self.line(f"{target} = select {truth} {condition}, {number} {chosen}, {number} {otherwise}")
+
+    def _turn(self, target: str, operation: Operation, angle: str) -> None:
+        """Sine or cosine: of an angle below π/4 and its quadrant.
+
+        Source: Moshier's Cephes library, sinf.c: the polynomials; Cody and Waite (1980): the quadrant. Right
+        to 2 units in the last place below 8,000 rad.
+        """
+        if angle not in self._angles:
+            self._angles[angle] = self._reduced(angle)
+        sine, cosine, quadrant = self._angles[angle]
+        target_, integer, truth = self.target, self.target.integer, self.target.truth
+        one, two = target_.splat("i32", "1"), target_.splat("i32", "2")
+        odd = self.value(f"trunc {integer} {quadrant} to {truth}")
+        if operation == "cos":
+            sine, cosine = cosine, sine
+            quadrant = self.value(f"add {integer} {quadrant}, {one}")
+        value = self.name()
+        self.select(value, odd, cosine, sine)
+        half = self.value(f"and {integer} {quadrant}, {two}")
+        sign = self.value(f"shl {integer} {half}, {target_.splat('i32', '30')}")
+        bits = self.value(f"bitcast {target_.number} {value} to {integer}")
+        turned = self.value(f"xor {integer} {bits}, {sign}")
+        self.line(f"{target} = bitcast {integer} {turned} to {target_.number}")
+
+    def _reduced(self, angle: str) -> tuple[str, str, str]:
+        """Sine and cosine of the angle less its quadrants, and the number of quadrants in the low bits."""
+        number, constant = self.target.number, self.target.constant
+        # Adding 1.5 · 2^23 rounds to an integer, which is then in the sum's low bits.
+        shifted = self._fused(angle, constant(2.0 / np.pi), constant(12582912.0))
+        quadrant = self.value(f"bitcast {number} {shifted} to {self.target.integer}")
+        count = self.value(f"fsub {number} {shifted}, {constant(12582912.0)}")
+        left = angle
+        for part in (1.5703125, 4.837512969970703125e-4, 7.54978995489188216e-8):
+            left = self._fused(count, constant(-part), left)
+        square = self.value(f"fmul {number} {left}, {left}")
+        sine = self._polynomial(square, (-1.9515295891e-4, 8.3321608736e-3, -1.6666654611e-1, 0.0))
+        cosine = self._polynomial(
+            square, (2.443315711809948e-5, -1.388731625493765e-3, 4.166664568298827e-2, -0.5, 1.0)
+        )
+        return self._fused(sine, left, left), cosine, quadrant
+
+    def _polynomial(self, x: str, coefficients: Sequence[float]) -> str:
+        """The highest power's coefficient first."""
+        value = self.target.constant(coefficients[0])
+        for coefficient in coefficients[1:]:
+            value = self._fused(value, x, self.target.constant(coefficient))
+        return value
+
+    def _fused(self, a: str, b: str, c: str) -> str:
+        """a b + c, rounded once."""
+        number = self.target.number
+        return self.value(
+            f"call {number} @llvm.fma.{self.target.suffix}({number} {a}, {number} {b}, {number} {c})"
+        )
+
+    def _loop(self, loop: Loop) -> None:
+        head, inside, after = (self.name()[1:] for _ in range(3))
+        count, next_count, running, next_running = (self.name() for _ in range(4))
+        begun, truth = self.block, self.target.truth
+        known = dict(self._angles)
+        barrier = self._barrier
+        alone = barrier is not None and num_operations(loop.body) <= barrier.every
+        self._num_alone += alone
+        self.line(f"br label %{head}")
+        self.lines.append(f"{head}:")
+        place = len(self.lines)  # of the phis, which need the last block of the body
+        any_runs = self._any_runs(running)
+        is_left = self.value(f"icmp slt i32 {count}, {loop.most}")
+        goes_on = self.value(f"and i1 {any_runs}, {is_left}")
+        self.line(f"br i1 {goes_on}, label %{inside}, label %{after}")
+        self.lines.append(f"{inside}:")
+        self.block = inside
+        self.write(loop.body)
+        kept = dict[int, str]()
+        for variable, _, value in loop.carried:
+            kept[variable] = self.operand(value)
+            if loop.improves is not None and self._goes_on_for_others:
+                kept[variable] = self.name()
+                self.select(kept[variable], running, self.operand(value), f"%v{variable}")
+        true = self.target.splat("i1", "true")
+        improves = true if loop.improves is None else f"%v{loop.improves}"
+        self.line(f"{next_running} = and {truth} {running}, {improves}")
+        self.line(f"{next_count} = add i32 {count}, 1")
+        self.line(f"br label %{head}")
+        last = self.block
+        self.lines[place:place] = [
+            f"  {count} = phi i32 [ 0, %{begun} ], [ {next_count}, %{last} ]",
+            f"  {running} = phi {truth} [ {true}, %{begun} ], [ {next_running}, %{last} ]",
+            *(
+                f"  %v{variable} = phi {self.target.number} "
+                f"[ {self.operand(before)}, %{begun} ], [ {kept[variable]}, %{last} ]"
+                for variable, before, _ in loop.carried
+            ),
+        ]
+        self.lines.append(f"{after}:")
+        self.block, self._angles = after, known
+        self._num_alone -= alone
+
+    def _branch(self, branch: Branch) -> None:
+        inside, after = self.name()[1:], self.name()[1:]
+        condition, begun = self.operand(branch.condition), self.block
+        known = dict(self._angles)
+        self.line(f"br i1 {self.any(condition)}, label %{inside}, label %{after}")
+        self.lines.append(f"{inside}:")
+        self.block = inside
+        self._num_alone += 1
+        self.write(branch.body)
+        self._num_alone -= 1
+        found = dict[int, str]()
+        for variable, value, otherwise in branch.results:
+            found[variable] = self.operand(value)
+            if self.target.width > 1:
+                found[variable] = self.name()
+                self.select(found[variable], condition, self.operand(value), self.operand(otherwise))
+        self.line(f"br label %{after}")
+        self.lines.append(f"{after}:")
+        for variable, _, otherwise in branch.results:
+            self.line(
+                f"%v{variable} = phi {self.target.number} "
+                f"[ {found[variable]}, %{self.block} ], [ {self.operand(otherwise)}, %{begun} ]"
+            )
+        self.block, self._angles = after, known
+
+    @property
+    def _goes_on_for_others(self) -> bool:
+        """Whether an environment stays in a loop while others run."""
+        return self.target.width > 1 or self._barrier is not None
+
+    def _any_runs(self, running: str) -> str:
+        """Whether any of the environments that go through a loop together still runs."""
+        if self._barrier is None:
+            return self.any(running)
+        return self.value(f"{self._barrier.any}(i32 0, i1 {running})")
+
+    def any(self, truth: str) -> str:
+        """Whether it is true for an environment of the vector."""
+        if self.target.width == 1:
+            return truth
+        reduce = f"@llvm.vector.reduce.or.v{self.target.width}i1"
+        return self.value(f"call i1 {reduce}({self.target.truth} {truth})")

@@ -1,0 +1,95 @@
+"""The rows of the constraint problem: joints and tendons at limits, friction of their own, and contacts.
+
+Every row that the model can ever have is there at all times; where it is not active, its stiffness D is 0.
+So the program's shape does not depend on the state.
+Source: MuJoCo's documentation, Computation, "Constraint model".
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+
+from mujoco_compiled.constraints.body_rows import BodyGroup
+from mujoco_compiled.constraints.contacts import (
+    ContactPair,
+    contact_rows,
+    is_better_by_body,
+    read_contacts,
+)
+from mujoco_compiled.constraints.friction_loss import FrictionLoss, friction_row, read_friction_losses
+from mujoco_compiled.constraints.limits import (
+    BallLimit,
+    Limit,
+    ball_limit_row,
+    limit_row,
+    read_ball_limits,
+    read_limits,
+)
+from mujoco_compiled.constraints.rows import ConstraintRows, RowGroup
+from mujoco_compiled.fields import NOMINAL, Fields, Own
+from mujoco_compiled.program.arithmetic import Vector
+from mujoco_compiled.smooth.dynamics import Motion
+from mujoco_compiled.smooth.kinematics import Poses
+from mujoco_compiled.smooth.tree import Tree
+
+# With at most this many contacts, skipping does not pay: some environment of a vector nearly always has one.
+_FEW_CONTACTS = 8
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """All that a model can ever have."""
+
+    frictions: tuple[FrictionLoss, ...]
+    limits: tuple[Limit, ...]
+    ball_limits: tuple[BallLimit, ...]
+    contacts: tuple[ContactPair, ...]
+
+    @property
+    def num_rows(self) -> int:
+        """MuJoCo's rows, all of them active."""
+        of_others = len(self.frictions) + len(self.limits) + len(self.ball_limits)
+        return of_others + sum(contact.num_rows for contact in self.contacts)
+
+
+@dataclass(frozen=True)
+class ConstraintState:
+    """qpos: [nq]. qvel: [nv]."""
+
+    qpos: Vector
+    qvel: Vector
+
+
+def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
+    """The model's, without the kinds that it disables. own: see `Fields`."""
+    fields, bit = Fields(model, own), mujoco.mjtDisableBit
+
+    def keeps(kind: mujoco.mjtDisableBit) -> bool:
+        return not fields.disables(kind, bit.mjDSBL_CONSTRAINT)
+
+    return Constraints(
+        frictions=read_friction_losses(fields) if keeps(bit.mjDSBL_FRICTIONLOSS) else (),
+        limits=read_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
+        ball_limits=read_ball_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
+        contacts=read_contacts(fields) if keeps(bit.mjDSBL_CONTACT) else (),
+    )
+
+
+def constraint_rows(
+    tree: Tree, constraints: Constraints, at: Poses, moving: Motion, state: ConstraintState
+) -> ConstraintRows:
+    """All rows in this state, contacts last."""
+    by_body = is_better_by_body(tree, constraints.contacts)
+    skips = len(constraints.contacts) > _FEW_CONTACTS
+    touching = [
+        point
+        for contact in constraints.contacts
+        for point in contact_rows(tree, contact, at, moving, by_body=by_body, skips=skips)
+    ]
+    groups: list[RowGroup | BodyGroup] = [
+        *(friction_row(friction, state.qvel) for friction in constraints.frictions),
+        *(limit_row(limit, state.qpos, state.qvel) for limit in constraints.limits),
+        *(ball_limit_row(limit, state.qpos, state.qvel) for limit in constraints.ball_limits),
+        *(group for _, group in touching),
+    ]
+    return ConstraintRows(groups, tree, moving.axes, [distance for distance, _ in touching])

@@ -1,0 +1,176 @@
+"""The acceleration that minimises Gauss' principle with soft constraints, by Newton's method.
+
+Source: MuJoCo's documentation, Computation, "Solvers"; Todorov (2014).
+"""
+
+from dataclasses import dataclass, fields, replace
+
+from mujoco_compiled.constraints.rows import (
+    ConstraintRows,
+    added,
+    cost,
+    cost_decrease,
+    curvature,
+    forces,
+    pulled_back,
+    residual,
+    slope,
+    times,
+)
+from mujoco_compiled.program.arithmetic import (
+    Number,
+    Vector,
+    absolute,
+    dot,
+    maximum,
+    select,
+    sqrt,
+    total,
+)
+from mujoco_compiled.program.flow import repeat
+from mujoco_compiled.smooth.dynamics import Entries
+from mujoco_compiled.smooth.factor import factorize, multiply, solve
+from mujoco_compiled.smooth.tree import Tree
+
+
+@dataclass(frozen=True)
+class Settings:
+    """MuJoCo's iterations, ls_iterations, tolerance and ls_tolerance. mean_inertia: the model's, in kg m²."""
+
+    iterations: int
+    line_search_iterations: int
+    tolerance: float
+    line_search_tolerance: float
+    mean_inertia: float
+
+
+@dataclass(frozen=True)
+class SolverProblem:
+    """mass: M. force: all but the constraints', [nv]; free: the acceleration under it, M⁻¹ force."""
+
+    tree: Tree
+    mass: Entries
+    force: Vector
+    free: Vector
+    rows: ConstraintRows
+
+
+@dataclass(frozen=True)
+class _Guess:
+    """acceleration: [nv]; inertial: M times it; residual: along the rows' directions."""
+
+    acceleration: Vector
+    inertial: Vector
+    residual: Vector
+
+
+def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Vector:
+    """[nv]: MuJoCo's `qacc`. It begins at `warm` [nv] or at the free acceleration, whichever costs less."""
+    tree = problem.tree
+    begun, free = _guess(problem, warm), _guess(problem, problem.free)
+    is_better = _cost(problem, free) < _cost(problem, begun)
+    start = _Guess(
+        *(
+            [
+                select(is_better, x, y)
+                for x, y in zip(getattr(free, one.name), getattr(begun, one.name), strict=True)
+            ]
+            for one in fields(_Guess)
+        )
+    )
+    scale = 1.0 / (settings.mean_inertia * max(1, len(tree.dofs)))
+
+    def iterate(carried: list[Number]) -> tuple[list[Number], Number]:
+        guess = _unpacked(carried, start)
+        direction, gradient = _newton_direction(problem, guess)
+        moved, gain = _line_search(problem, guess, direction, settings, scale)
+        steepness = sqrt(dot(gradient, gradient))
+        improves = (gain * scale > settings.tolerance) & (steepness * scale > settings.tolerance)
+        return _packed(moved), improves
+
+    return _unpacked(repeat(settings.iterations, iterate, _packed(start)), start).acceleration
+
+
+def _newton_direction(problem: SolverProblem, guess: _Guess) -> tuple[Vector, Vector]:
+    """-H⁻¹ g, and the gradient g: [nv] each."""
+    pull = pulled_back(problem.rows, forces(problem.rows, guess.residual), len(problem.force))
+    gradient = [x - y - z for x, y, z in zip(guess.inertial, problem.force, pull, strict=True)]
+    hessian = added(problem.mass, curvature(problem.rows, guess.residual))
+    step = solve(problem.tree, factorize(problem.tree, hessian), gradient)
+    return [-x for x in step], gradient
+
+
+def _line_search(
+    problem: SolverProblem, guess: _Guess, direction: Vector, settings: Settings, scale: float
+) -> tuple[_Guess, Number]:
+    """The best guess along the direction, and by how much its cost is less.
+
+    The cost along a line is convex, and quadratic between the points where a row begins or ends to push. So
+    Newton's method finds where the slope is 0, kept between places where the cost falls and where it rises.
+    """
+    inertial = multiply(problem.tree, problem.mass, direction)
+    rates = times(problem.rows, direction)
+    linear = total(x * (y - z) for x, y, z in zip(direction, guess.inertial, problem.force, strict=True))
+    quadratic = 0.5 * dot(direction, inertial)
+    bend = slope(problem.rows, guess.residual, rates)
+
+    def at(step: Number) -> tuple[Number, Number]:
+        """The cost's first and second derivative."""
+        first, second = bend(step)
+        return linear + 2.0 * quadratic * step + first, 2.0 * quadratic + second
+
+    accuracy = settings.tolerance * settings.line_search_tolerance * sqrt(dot(direction, direction)) / scale
+    at_start, curvature_there = at(0.0)
+
+    def narrow(carried: list[Number]) -> tuple[list[Number], Number]:
+        step, low, high = carried
+        first, second = at(step)
+        low, high = select(first < 0.0, step, low), select(first < 0.0, high, step)
+        guessed = step - first / maximum(second, _TINY)
+        # Not at an end: between rows that begin and end to push, guesses can go from one end to the other.
+        inside = (low < guessed) & (guessed < high)
+        bounded = select(high < _FAR, 0.5 * (low + high), 2.0 * step)
+        # A guess that rounding leaves where it was is as good as it gets.
+        moves = ~(~(guessed < step) & ~(step < guessed))
+        goes_on = moves & ~(absolute(first) < accuracy)
+        return [select(goes_on, select(inside, guessed, bounded), step), low, high], goes_on
+
+    step = repeat(
+        settings.line_search_iterations, narrow, [-at_start / maximum(curvature_there, _TINY), 0.0, _FAR]
+    )[0]
+    moved = _Guess(
+        [x + step * y for x, y in zip(guess.acceleration, direction, strict=True)],
+        [x + step * y for x, y in zip(guess.inertial, inertial, strict=True)],
+        [x + step * y for x, y in zip(guess.residual, rates, strict=True)],
+    )
+    fallen = cost_decrease(problem.rows, guess.residual, moved.residual)
+    gain = fallen - step * (linear + step * quadratic)
+    return moved, gain
+
+
+# Farther than any step: an end of a line that is not known yet. Below any curvature: for no direction.
+_FAR, _TINY = 1e30, 1e-30
+
+
+def _guess(problem: SolverProblem, acceleration: Vector) -> _Guess:
+    inertial = multiply(problem.tree, problem.mass, acceleration)
+    return _Guess(acceleration, inertial, residual(problem.rows, acceleration))
+
+
+def _cost(problem: SolverProblem, guess: _Guess) -> Number:
+    apart = total(
+        (x - y) * (a - b)
+        for x, y, a, b in zip(guess.inertial, problem.force, guess.acceleration, problem.free, strict=True)
+    )
+    return 0.5 * apart + cost(problem.rows, guess.residual)
+
+
+def _packed(guess: _Guess) -> list[Number]:
+    return [*guess.acceleration, *guess.inertial, *guess.residual]
+
+
+def _unpacked(values: list[Number], like: _Guess) -> _Guess:
+    size = len(like.acceleration)
+    return replace(
+        like, acceleration=values[:size], inertial=values[size : 2 * size], residual=values[2 * size :]
+    )

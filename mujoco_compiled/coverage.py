@@ -1,0 +1,308 @@
+"""The parts of a model that the stages do not compute, found before any code is made."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import mujoco
+import numpy as np
+
+from core.physics.model import GEOMETRY
+from mujoco_compiled.collisions.own_boxes import fixed_boxes, says_spacing
+from mujoco_compiled.collisions.table import COLLIDERS
+from mujoco_compiled.constraints.constraints import read_constraints
+from mujoco_compiled.constraints.pairs import Pair, read_pairs
+from mujoco_compiled.constraints.solref import is_computable
+from mujoco_compiled.fields import Fields
+from mujoco_compiled.named import named, where, word
+from mujoco_compiled.program.arithmetic import squared
+from mujoco_compiled.readings.derived import DERIVED_FIELDS
+from mujoco_compiled.readings.sensor_coverage import turn_several_axes, unread
+
+_DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
+# Switches that the stages follow, and those that change nothing that they compute.
+_FOLLOWED = (
+    _DISABLE.mjDSBL_EULERDAMP
+    | _DISABLE.mjDSBL_FILTERPARENT
+    | _DISABLE.mjDSBL_CONSTRAINT
+    | _DISABLE.mjDSBL_LIMIT
+    | _DISABLE.mjDSBL_CONTACT
+    | _DISABLE.mjDSBL_SPRING
+    | _DISABLE.mjDSBL_DAMPER
+    | _DISABLE.mjDSBL_GRAVITY
+    | _DISABLE.mjDSBL_CLAMPCTRL
+    | _DISABLE.mjDSBL_WARMSTART
+    | _DISABLE.mjDSBL_ACTUATION
+)
+_WITHOUT_EFFECT = (
+    _DISABLE.mjDSBL_SENSOR
+    | _DISABLE.mjDSBL_MIDPHASE
+    | _DISABLE.mjDSBL_AUTORESET
+    | _DISABLE.mjDSBL_NATIVECCD
+    | _DISABLE.mjDSBL_ISLAND
+    | _DISABLE.mjDSBL_MULTICCD
+)
+_ENABLED_WITHOUT_EFFECT = _ENABLE.mjENBL_ENERGY | _ENABLE.mjENBL_FWDINV
+
+
+# Every row is code of its own: with 1,700 rows a body takes a minute and 1.2 GB to compile.
+MOST_ROWS = 2_000
+# By how much a contact may be stiffer than fits what it moves: rounding in single precision (6e-8) is 3e-4 of
+# its force then. A hundred times more, and numbers become NaN.
+_MOST_STIFFNESS = 5000.0
+
+
+def uncovered(model: mujoco.MjModel) -> str | None:
+    """The first reason why the stages cannot move the model, such as "its geom 'rock' is a mesh"; None: they
+    can."""
+    return next((reason for check in _CHECKS for reason in check(model)), None)
+
+
+def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
+    """The first reason why these derived fields cannot be computed for a model that the stages can move."""
+    if unknown := sorted(set(names) - set(DERIVED_FIELDS)):
+        return f"{unknown[0]} is not a derived field"
+    return next((why for _, why in unread(model)), None) if "sensordata" in names else None
+
+
+def uncovered_own(model: mujoco.MjModel, names: Sequence[str], derived: Sequence[str] = ()) -> str | None:
+    """The first reason why environments cannot have these fields of the model for themselves, where these
+    derived fields are read."""
+    if moved := sorted(set(GEOMETRY).intersection(names)):
+        if "geom_xpos" in derived:
+            return f"{moved[0]}: geom_xpos is read, which has the geoms where the model has them"
+        if "sensordata" in derived and (sensor := _reads_a_fixed_box(model)) is not None:
+            return (
+                f"{moved[0]}: its sensor {named(model, 'sensor', sensor)} reads a box where the model has it"
+            )
+    return next((reason for name in names for reason in _own(model, name)), None)
+
+
+def _reads_a_fixed_box(model: mujoco.MjModel) -> int | None:
+    """The first sensor that reads a box that never moves; its contacts, too, where it must tell it from other
+    boxes."""
+    geom, boxes = mujoco.mjtObj.mjOBJ_GEOM, fixed_boxes(model)
+    reads = (model.sensor_objtype == geom) & np.isin(model.sensor_objid, boxes)
+    reads |= (model.sensor_reftype == geom) & np.isin(model.sensor_refid, boxes)
+    return next(iter(np.flatnonzero(reads).tolist()), None)
+
+
+def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
+    if name == "dof_frictionloss":
+        rough = _uncomputable(model.dof_solimp)
+        yield from (f"{name}: {reason}" for reason in where(model, "joint", rough, _CURVE, model.dof_jntid))
+    if name in ("body_pos", "body_quat"):
+        yield from (f"{name}: {reason}" for reason in _touched_where_they_are(model))
+    if name in GEOMETRY and len(fixed_boxes(model)) > 1 and not says_spacing(model):
+        yield f"{name}: the model does not say how far apart its boxes stay (`box_spacing`)"
+    if name == "actuator_dynprm":
+        exact = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
+        yield from (f"{name}: {reason}" for reason in where(model, "actuator", exact, "is an exact filter"))
+    affine = {
+        "actuator_gainprm": model.actuator_gaintype == mujoco.mjtGain.mjGAIN_AFFINE,
+        "actuator_biasprm": model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE,
+    }
+    if name in affine:
+        turning = affine[name] & turn_several_axes(model)
+        yield from (f"{name}: {reason}" for reason in where(model, "actuator", turning, "turns several axes"))
+
+
+def _touched_where_they_are(model: mujoco.MjModel) -> Iterator[str]:
+    """The first body, but the world, that never moves but can be touched: its place is a constant."""
+    for pair in read_pairs(Fields(model)):
+        for body in (int(body) for body in model.geom_bodyid[[pair.one, pair.other]]):
+            if body and not model.body_weldid[body]:
+                yield f"its body {named(model, 'body', body)} stands still and can be touched"
+
+
+def _options(model: mujoco.MjModel) -> Iterator[str]:
+    option = model.opt
+    integrators = mujoco.mjtIntegrator
+    if option.integrator not in (integrators.mjINT_EULER, integrators.mjINT_IMPLICITFAST):
+        yield f"its integrator is {word(mujoco.mjtIntegrator(option.integrator).name)}"
+    if option.solver == mujoco.mjtSolver.mjSOL_PGS:
+        yield "its solver is PGS"
+    if option.noslip_iterations:
+        yield "it asks for the noslip solver"
+    for bit in _DISABLE.__members__.values():
+        if option.disableflags & bit & ~(_FOLLOWED | _WITHOUT_EFFECT):
+            yield f"it disables a part of MuJoCo ({word(bit.name)})"
+    for bit in _ENABLE.__members__.values():
+        if option.enableflags & bit & ~_ENABLED_WITHOUT_EFFECT:
+            yield f"it enables a part of MuJoCo ({word(bit.name)})"
+
+
+def _combinations(model: mujoco.MjModel) -> Iterator[str]:
+    """Options that do not go together with what the model has."""
+    option = model.opt
+    is_implicit = option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    if option.density or option.viscosity:
+        if is_implicit:
+            yield "it moves in a fluid, and its integrator is implicitfast"
+        if model.geom_fluid[:, 0].any():
+            yield "its geoms move in the fluid as ellipsoids (`fluidshape`)"
+    if is_implicit and any(_flies_alone(model, body) for body in range(1, model.nbody)):
+        yield "its integrator is implicitfast, and a free body of it carries no joints"
+    if option.disableactuator:
+        yield "it disables groups of actuators"
+
+
+def _parts(model: mujoco.MjModel) -> Iterator[str]:
+    """Kinds of parts of which the stages know none."""
+    if model.neq:
+        yield f"its equality {named(model, 'equality', 0)} ties bodies or joints together"
+    if model.nflex:
+        yield f"it has a flexible body, {named(model, 'flex', 0)}"
+    if model.nmocap:
+        yield "it has a mocap body"
+    if model.nplugin:
+        yield "it uses a plugin"
+
+
+def _joints(model: mujoco.MjModel) -> Iterator[str]:
+    rotates = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL))
+    ranged = rotates & (model.jnt_actfrclimited != 0)
+    yield from where(model, "joint", ranged, "has several axes and limits its actuators' forces")
+    yield from where(model, "joint", model.jnt_stiffnesspoly.any(axis=-1), "is not a linear spring")
+    joint_of = model.dof_jntid
+    yield from where(model, "joint", model.dof_dampingpoly.any(axis=-1), "is not a linear damper", joint_of)
+    rough = (model.dof_frictionloss != 0) & _uncomputable(model.dof_solimp)
+    yield from where(model, "joint", rough, _CURVE, joint_of)
+    limited = (model.jnt_limited != 0) & _keeps_limits(model)
+    yield from where(model, "joint", limited & _uncomputable(model.jnt_solimp), _CURVE)
+    both_ends = limited & ~rotates & (np.ptp(model.jnt_range, axis=1) < 2.0 * model.jnt_margin)
+    yield from where(model, "joint", both_ends, "can be at both ends of its range at once")
+
+
+def _tendons(model: mujoco.MjModel) -> Iterator[str]:
+    is_fixed = model.wrap_type[model.tendon_adr] == mujoco.mjtWrap.mjWRAP_JOINT
+    yield from where(model, "tendon", ~is_fixed, "is a spatial one")
+    rough = (model.tendon_frictionloss != 0) & _uncomputable(model.tendon_solimp_fri)
+    yield from where(model, "tendon", rough, _CURVE)
+    limited = (model.tendon_limited != 0) & _keeps_limits(model)
+    yield from where(model, "tendon", limited & _uncomputable(model.tendon_solimp_lim), _CURVE)
+    both_ends = limited & (np.ptp(model.tendon_range, axis=1) < 2.0 * model.tendon_margin)
+    yield from where(model, "tendon", both_ends, "can be at both ends of its range at once")
+    yield from where(model, "tendon", model.tendon_actfrclimited, "limits its actuators' forces")
+    yield from where(model, "tendon", model.tendon_stiffnesspoly.any(axis=-1), "is not a linear spring")
+    yield from where(model, "tendon", model.tendon_dampingpoly.any(axis=-1), "is not a linear damper")
+
+
+def _actuators(model: mujoco.MjModel) -> Iterator[str]:
+    if not model.nactuator:
+        return
+    kinds, targets = mujoco.mjtTrn, model.actuator_trntype
+    covered = (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT, kinds.mjTRN_TENDON)
+    yield from where(model, "actuator", ~np.isin(targets, covered), "acts on neither a joint nor a tendon")
+    gain, bias, dynamics = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
+    simple = np.isin(model.actuator_gaintype, (gain.mjGAIN_FIXED, gain.mjGAIN_AFFINE)) & np.isin(
+        model.actuator_biastype, (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE)
+    )
+    yield from where(model, "actuator", ~simple, "is a muscle, a motor with dynamics or a user's own kind")
+    filters = dynamics.mjDYN_INTEGRATOR, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT
+    known = np.isin(model.actuator_dyntype, (dynamics.mjDYN_NONE, *filters))
+    several = (model.actuator_actnum > 1) | (model.actuator_ctrlnum != 1) | (model.actuator_outnum != 1)
+    yield from where(model, "actuator", ~known | several, "has dynamics, inputs or outputs of its own kind")
+    turns = turn_several_axes(model)
+    in_parent = turns & (targets == kinds.mjTRN_JOINTINPARENT)
+    yield from where(model, "actuator", in_parent, "acts on a joint with several axes, in its parent's frame")
+    by_length = (model.actuator_gainprm[:, 1] != 0) | (model.actuator_biasprm[:, 1] != 0)
+    yield from where(model, "actuator", turns & by_length, "holds a joint with several axes in a position")
+    yield from where(model, "actuator", model.actuator_delay > 0, "acts with a delay")
+    for field in ("armature", "damping", "dampingpoly"):
+        values = np.reshape(getattr(model, f"actuator_{field}"), (model.nactuator, -1))
+        yield from where(model, "actuator", values.any(axis=1), f"has `{field}` of its own")
+
+
+def _keeps_limits(model: mujoco.MjModel) -> bool:
+    """Whether the ranges of joints and tendons are kept."""
+    return not (model.opt.disableflags & (_DISABLE.mjDSBL_LIMIT | _DISABLE.mjDSBL_CONSTRAINT))
+
+
+def _flies_alone(model: mujoco.MjModel, body: int) -> bool:
+    """Whether the body has a free joint, and neither it nor what it carries has another joint."""
+    first = int(model.body_jntadr[body])
+    tree = int(model.body_treeid[body])
+    is_free = first >= 0 and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE
+    return bool(is_free and model.tree_dofnum[tree] == 6)
+
+
+def _contacts(model: mujoco.MjModel) -> Iterator[str]:
+    if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
+        return
+    of_ends = _inverse_weights(model)
+    for pair in read_pairs(Fields(model)):
+        both = [pair.one, pair.other]
+        one, other = (named(model, "geom", number) for number in both)
+        names = f"its geoms {one} and {other} can touch"
+        kinds = [int(kind) for kind in model.geom_type[both]]
+        if (kinds[0], kinds[1]) not in COLLIDERS:
+            first, second = (word(mujoco.mjtGeom(kind).name) for kind in kinds)
+            yield f"{names}: {_with_article(first)} and {_with_article(second)}"
+        elif kinds[0] == kinds[1] == mujoco.mjtGeom.mjGEOM_BOX and pair.parameters.reach > 0.0:
+            # Where the boxes do not overlap yet, MuJoCo drops points by the direction in which it looked.
+            yield f"{names}: two boxes with a margin"
+        elif not is_computable(pair.parameters.spring.impedance.power):
+            yield f"{names}: its contact {_CURVE}"
+        elif _is_thin_pyramid(model, pair):
+            yield f"{names} with hardly any friction in a pyramidal cone: single precision cannot compute it"
+        elif _is_rigid(model, pair, of_ends):
+            yield f"{names}, but turn about the centres of their bodies: such contacts are rigid in MuJoCo"
+        elif model.geom_adhesion[both].any() or model.geom_surfacevel[both].any():
+            yield f"{names} with adhesion or a moving surface"
+    for place in np.flatnonzero(model.pair_adhesion)[:1]:
+        yield f"its pair {named(model, 'pair', int(place))} has adhesion"
+
+
+def _is_thin_pyramid(model: mujoco.MjModel, pair: Pair) -> bool:
+    """Whether a pyramid's edges, stiffer than the contact by 1 / (2 · friction²), are too stiff."""
+    friction = pair.parameters.friction
+    is_pyramid = bool(friction) and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    return is_pyramid and bool(2.0 * _MOST_STIFFNESS * squared(friction[0]) < 1.0)
+
+
+def _is_rigid(model: mujoco.MjModel, pair: Pair, of_ends: np.ndarray) -> bool:
+    """Whether the geoms move by turning alone. MuJoCo makes contacts as stiff as the centres of mass are hard
+    to move: those of bodies that turn about their centres are rigid. of_ends: see `_inverse_weights`."""
+    both = [pair.one, pair.other]
+    of_centres = model.body_invweight0[model.geom_bodyid[both], 0]
+    return bool(_MOST_STIFFNESS * of_centres.sum() < of_ends[both].max())
+
+
+def _inverse_weights(model: mujoco.MjModel) -> np.ndarray:
+    """How easily each geom moves where it ends, [ngeom] in 1/kg: the mean of the three directions, as in
+    MuJoCo's `body_invweight0`. 0: it never moves."""
+    found, data = np.zeros(model.ngeom), mujoco.MjData(model)
+    # Not `mj_forward`: the world of a user's model may have thousands of geoms, which touch each other.
+    for stage in (mujoco.mj_fwdKinematics, mujoco.mj_makeM, mujoco.mj_factorM):
+        stage(model, data)
+    for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid]):
+        axes = data.geom_xmat[geom].reshape(3, 3)
+        middle, half = model.geom_aabb[geom].reshape(2, 3)
+        for end in [*np.diag(half), *np.diag(-half)]:
+            rows = np.zeros((2, 3, model.nv))
+            point = data.geom_xpos[geom] + axes @ (middle + end)
+            mujoco.mj_jac(model, data, rows[0], None, point, int(model.geom_bodyid[geom]))
+            mujoco.mj_solveM(model, data, rows[1], rows[0])
+            found[geom] = max(found[geom], np.vdot(*rows) / 3.0)
+    return found
+
+
+def _with_article(word: str) -> str:
+    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
+
+
+def _rows(model: mujoco.MjModel) -> Iterator[str]:
+    """Last, as it reads the constraints, which other checks must have let pass."""
+    num_rows = read_constraints(model).num_rows
+    if num_rows > MOST_ROWS:
+        yield f"it can have more than {MOST_ROWS} constraint rows at once"
+
+
+_CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (
+    _options, _combinations, _parts, _joints, _tendons, _actuators, _contacts, _rows,
+)  # fmt: skip
+_CURVE = "has a `solimp` whose power is not a multiple of a half"
+
+
+def _uncomputable(solimp: np.ndarray) -> np.ndarray:
+    """[n]: where the stages have no operation for the curve of a `solimp` [n, 5]."""
+    return np.array([not is_computable(power) for power in solimp[:, 4]], bool)

@@ -1,0 +1,192 @@
+"""Actuators: forces on joints and fixed tendons, and activations.
+
+Source: MuJoCo's documentation, Computation, "Actuation model".
+"""
+
+from dataclasses import dataclass
+from math import exp
+
+import mujoco
+import numpy as np
+
+from mujoco_compiled.fields import NOMINAL, Fields, Own, is_zero
+from mujoco_compiled.program.arithmetic import Number, Vector, clip, maximum, select
+from mujoco_compiled.smooth.tendons import Coefficients, read_tendons, weighted
+from mujoco_compiled.smooth.tree import Range, Tree
+
+
+@dataclass(frozen=True)
+class ActivationConstants:
+    """address: in act. share: of the way to the control that a filter goes in a timestep; None: an integrator
+    of the control. early: the force follows the activation after the timestep."""
+
+    address: int
+    share: Number | None
+    range: Range | None
+    early: bool
+
+
+@dataclass(frozen=True)
+class ActuatorConstants:
+    """A force along a length: gain · (control or activation) + bias.
+
+    of_positions: the length, by address in qpos; empty where it has none. moment: its rate, by degree of
+    freedom. gain, bias: three coefficients each, of 1, of the length and of its rate. control_range,
+    force_range: None without bounds.
+    """
+
+    of_positions: Coefficients
+    moment: Coefficients
+    gain: Vector
+    bias: Vector
+    activation: ActivationConstants | None
+    control_range: Range | None
+    force_range: Range | None
+
+
+@dataclass(frozen=True)
+class Driven:
+    """forces: the actuators' own [nu]. on_dofs: on the degrees of freedom [nv], MuJoCo's `qfrc_actuator`.
+
+    act: the activations [na] after the timestep. slopes: by actuator, how its force changes with its rate.
+    """
+
+    forces: Vector
+    on_dofs: Vector
+    act: Vector
+    slopes: Vector
+
+
+@dataclass(frozen=True)
+class ActuatorState:
+    """qpos: [nq]. qvel: [nv]. act: [na]. ctrl: [nu]. held: [nv], of gravity compensation; empty without."""
+
+    qpos: Vector
+    qvel: Vector
+    act: Vector
+    ctrl: Vector
+    held: Vector
+
+
+def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[ActuatorConstants, ...]:
+    """The model's actuators, on joints and fixed tendons; none where actuation is disabled.
+
+    own: see `Fields`.
+    """
+    fields = Fields(model, own)
+    if fields.disables(mujoco.mjtDisableBit.mjDSBL_ACTUATION):
+        return ()
+    return tuple(_actuator(fields, number) for number in range(model.nactuator))
+
+
+def driven(
+    tree: Tree, actuators: tuple[ActuatorConstants, ...], state: ActuatorState, timestep: float
+) -> Driven:
+    """The actuators in a timestep."""
+    found = Driven([], [0.0] * len(state.qvel), list(state.act), [])
+    if not actuators:
+        return found
+    for actuator, control in zip(actuators, state.ctrl, strict=True):
+        _drive(actuator, control, state, timestep, found)
+    for i, dof in enumerate(tree.dofs):
+        if dof.holds_weight and state.held:
+            found.on_dofs[i] = found.on_dofs[i] + state.held[i]
+        if dof.actuator_range:
+            found.on_dofs[i] = clip(found.on_dofs[i], *dof.actuator_range)
+    return found
+
+
+def _drive(
+    actuator: ActuatorConstants, control: Number, state: ActuatorState, timestep: float, found: Driven
+) -> None:
+    """Add what one actuator does."""
+    length, rate = weighted(actuator.of_positions, state.qpos), weighted(actuator.moment, state.qvel)
+    wanted = clip(control, *actuator.control_range) if actuator.control_range else control
+    if activation := actuator.activation:
+        before = state.act[activation.address]
+        after = _activated(activation, before, wanted, timestep)
+        found.act[activation.address] = after
+        wanted = after if activation.early else before
+    force = _affine(actuator.gain, length, rate) * wanted + _affine(actuator.bias, length, rate)
+    slope = actuator.bias[2] + actuator.gain[2] * wanted
+    if actuator.force_range:
+        low, high = actuator.force_range
+        if not is_zero(slope):
+            slope = select((low < force) & (force < high), slope, 0.0)
+        force = clip(force, low, high)
+    found.forces.append(force)
+    found.slopes.append(slope)
+    for dof, coefficient in actuator.moment.items():
+        found.on_dofs[dof] = found.on_dofs[dof] + coefficient * force
+
+
+def _activated(activation: ActivationConstants, before: Number, control: Number, timestep: float) -> Number:
+    """The activation after the timestep."""
+    if activation.share is None:
+        after = before + timestep * control
+    else:
+        after = before + activation.share * (control - before)
+    return clip(after, *activation.range) if activation.range else after
+
+
+def _affine(coefficients: Vector, length: Number, rate: Number) -> Number:
+    constant, of_length, of_rate = coefficients
+    return constant + of_length * length + of_rate * rate
+
+
+def _actuator(fields: Fields, number: int) -> ActuatorConstants:
+    model = fields.model
+    of_positions, moment = transmission(fields, number)
+    gain, bias = fields.row("actuator_gainprm", number), fields.row("actuator_biasprm", number)
+    affine_gain = model.actuator_gaintype[number] == mujoco.mjtGain.mjGAIN_AFFINE
+    affine_bias = model.actuator_biastype[number] == mujoco.mjtBias.mjBIAS_AFFINE
+    clamps = not fields.disables(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    limits_control = clamps and bool(model.actuator_ctrllimited[number])
+    low, high = fields.row("actuator_forcerange", number)
+    return ActuatorConstants(
+        of_positions=of_positions,
+        moment=moment,
+        gain=gain[:3] if affine_gain else [gain[0], 0.0, 0.0],
+        bias=bias[:3] if affine_bias else [0.0] * 3,
+        activation=_activation(fields, number) if model.actuator_actadr[number] >= 0 else None,
+        control_range=_range(model.actuator_ctrlrange[number]) if limits_control else None,
+        force_range=(low, high) if model.actuator_forcelimited[number] else None,
+    )
+
+
+def transmission(fields: Fields, number: int) -> tuple[Coefficients, Coefficients]:
+    """An actuator's length by position, and its rate by degree of freedom."""
+    model, target = fields.model, int(fields.model.actuator_trnid[number, 0])
+    gear = fields.row("actuator_gear", number)
+    if model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_TENDON:
+        tendon = read_tendons(model, fields.own)[target]
+        lengths, rates = (
+            {place: coefficient * gear[0] for place, coefficient in coefficients.items()}
+            for coefficients in (tendon.of_positions, tendon.moment)
+        )
+        return lengths, rates
+    dof = int(model.jnt_dofadr[target])
+    num_dofs = int(np.count_nonzero(model.dof_jntid == target))
+    moment = {dof + axis: x for axis, x in enumerate(gear[:num_dofs]) if not is_zero(x)}
+    return ({int(model.jnt_qposadr[target]): gear[0]} if num_dofs == 1 else {}), moment
+
+
+def _activation(fields: Fields, number: int) -> ActivationConstants:
+    model, dynamics = fields.model, mujoco.mjtDyn
+    timestep = float(model.opt.timestep)
+    time_constant = fields.number("actuator_dynprm", number)
+    share: Number | None = None
+    if model.actuator_dyntype[number] == dynamics.mjDYN_FILTER:
+        share = timestep / maximum(time_constant, mujoco.mjMINVAL)
+    elif model.actuator_dyntype[number] == dynamics.mjDYN_FILTEREXACT:
+        share = 1.0 - exp(-timestep / max(time_constant, mujoco.mjMINVAL))
+    return ActivationConstants(
+        address=int(model.actuator_actadr[number]),
+        share=share,
+        range=_range(model.actuator_actrange[number]) if model.actuator_actlimited[number] else None,
+        early=bool(model.actuator_actearly[number]),
+    )
+
+
+def _range(bounds: np.ndarray) -> Range:
+    return float(bounds[0]), float(bounds[1])

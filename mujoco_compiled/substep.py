@@ -1,0 +1,256 @@
+"""One substep of a model, from its stages.
+
+Source: MuJoCo's documentation, Computation, "Simulation pipeline" and "Numerical integration".
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import mujoco
+
+from mujoco_compiled.constraints.constraints import (
+    Constraints,
+    ConstraintState,
+    constraint_rows,
+    read_constraints,
+)
+from mujoco_compiled.constraints.solver import Settings, SolverProblem, acceleration
+from mujoco_compiled.fields import NOMINAL, Fields, Own, is_zero
+from mujoco_compiled.program.arithmetic import Number, Vector, add, scale
+from mujoco_compiled.program.flow import repeat
+from mujoco_compiled.readings.contact_sensors import (
+    ContactSensor,
+    normal_forces,
+    numbers_touching,
+    read_contact_sensors,
+)
+from mujoco_compiled.readings.force_sensors import (
+    ForceSensor,
+    Instant,
+    force_readings,
+    read_force_sensors,
+)
+from mujoco_compiled.smooth.actuation import (
+    ActuatorConstants,
+    ActuatorState,
+    Driven,
+    driven,
+    read_actuators,
+)
+from mujoco_compiled.smooth.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
+from mujoco_compiled.smooth.factor import factorize, multiply, solve
+from mujoco_compiled.smooth.fluid import Fluid, drag_forces, read_fluid
+from mujoco_compiled.smooth.forces import passive_forces, weight_held
+from mujoco_compiled.smooth.integration import Implicit, add_slopes, implicit_inertia, integrated
+from mujoco_compiled.smooth.kinematics import Poses, poses
+from mujoco_compiled.smooth.tendons import Tendon, read_tendons, tendon_forces, with_armature
+from mujoco_compiled.smooth.tree import Tree, read_tree
+
+
+@dataclass(frozen=True)
+class Model:
+    """timestep: in s. warm_start: whether the solver may begin at the last substep's acceleration.
+
+    touch_sensors, force_sensors: those to read at each substep. contact_sensors: those that count contacts.
+    """
+
+    tree: Tree
+    tendons: tuple[Tendon, ...]
+    actuators: tuple[ActuatorConstants, ...]
+    fluid: Fluid
+    constraints: Constraints
+    timestep: float
+    implicit: Implicit
+    warm_start: bool
+    solver: Settings
+    touch_sensors: tuple[ContactSensor, ...] = ()
+    force_sensors: tuple[ForceSensor, ...] = ()
+    contact_sensors: tuple[ContactSensor, ...] = ()
+
+    @property
+    def num_readings(self) -> int:
+        return len(self.touch_sensors) + sum(3 if one.frame else 1 for one in self.force_sensors)
+
+
+@dataclass(frozen=True)
+class SubstepState:
+    """The state before a substep. qpos: [nq]. qvel: [nv]. act: [na]. qacc: [nv], the last substep's."""
+
+    qpos: Vector
+    qvel: Vector
+    act: Vector
+    qacc: Vector
+
+
+@dataclass(frozen=True)
+class Moved(SubstepState):
+    """qfrc_actuator: [nv], and the readings of touch and force sensors: of the last substep."""
+
+    qfrc_actuator: Vector
+    readings: Vector
+
+
+def read_model(model: mujoco.MjModel, own: Own = NOMINAL) -> Model:
+    """The model as the stages read it. own: see `Fields`."""
+    fields, bit = Fields(model, own), mujoco.mjtDisableBit
+    tree = read_tree(model, own)
+    return Model(
+        tree=tree,
+        tendons=read_tendons(model, own),
+        actuators=read_actuators(model, own),
+        fluid=read_fluid(model, own),
+        constraints=read_constraints(model, own),
+        timestep=float(model.opt.timestep),
+        implicit=_implicit(fields, tree),
+        warm_start=not fields.disables(bit.mjDSBL_WARMSTART),
+        solver=Settings(
+            iterations=int(model.opt.iterations),
+            line_search_iterations=int(model.opt.ls_iterations),
+            tolerance=float(model.opt.tolerance),
+            line_search_tolerance=float(model.opt.ls_tolerance),
+            mean_inertia=float(model.stat.meaninertia),
+        ),
+    )
+
+
+def control_step(
+    model: Model, num_substeps: int, state: SubstepState, ctrl: Vector, *, reads_forces: bool = False
+) -> Moved:
+    """The state after some substeps under a control [nu] that stays the same.
+
+    reads_forces: whether `qfrc_actuator` is wanted; it is empty otherwise.
+    """
+    blank: Vector = [0.0] * len(state.qvel) if reads_forces else []
+    sizes = [len(part) for part in (state.qpos, state.qvel, state.act, state.qacc, blank)]
+
+    def body(carried: list[Number]) -> tuple[list[Number], Number]:
+        moved = substep(model, SubstepState(*_parted(carried, sizes)[:4]), ctrl)
+        kept = moved if reads_forces else replace(moved, qfrc_actuator=[])
+        return _joined(kept), True
+
+    unread: Vector = [0.0] * model.num_readings
+    begun = Moved(state.qpos, state.qvel, state.act, state.qacc, blank, unread)
+    return Moved(*_parted(repeat(num_substeps, body, _joined(begun)), sizes))
+
+
+def substep(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
+    """The state one timestep later under a control [nu]."""
+    problem, now = _problem(model, state, ctrl)
+    done = now.done
+    found = acceleration(problem, state.qacc if model.warm_start else problem.free, model.solver)
+    qvel = add(state.qvel, scale(_integrated(model, problem, found, done), model.timestep))
+    qpos = integrated(model.tree, state.qpos, qvel, model.timestep)
+    return Moved(qpos, qvel, done.act, found, done.on_dofs, _readings(model, problem, now, found))
+
+
+def unmoved(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
+    """The state itself, with the forces in it under a control [nu]."""
+    problem, now = _problem(model, state, ctrl)
+    readings: Vector = []
+    if model.num_readings:
+        found = acceleration(problem, state.qacc if model.warm_start else problem.free, model.solver)
+        readings = _readings(model, problem, now, found)
+    return Moved(state.qpos, state.qvel, state.act, state.qacc, now.done.on_dofs, readings)
+
+
+def readings_by_sensor(model: Model, moved: Moved) -> Mapping[int, Vector]:
+    """By number of a sensor: forces and accelerations of the last substep, and how many points touch now."""
+    left = iter(moved.readings)
+    found = {one.number: [next(left)] for one in model.touch_sensors}
+    found |= {one.number: list(islice(left, 3 if one.frame else 1)) for one in model.force_sensors}
+    if model.contact_sensors:
+        at = poses(model.tree, moved.qpos)
+        moving = motion(model.tree, at, moved.qvel)
+        rows = constraint_rows(
+            model.tree, model.constraints, at, moving, ConstraintState(moved.qpos, moved.qvel)
+        )
+        counted = numbers_touching(model.contact_sensors, model.constraints.contacts, rows.distances)
+        pairs = zip(model.contact_sensors, counted, strict=True)
+        found |= {one.number: [number] for one, number in pairs}
+    return found
+
+
+def with_sensors(read: Model, model: mujoco.MjModel) -> Model:
+    """The model with its sensors of contacts and forces, which `coverage` must have let pass."""
+    of_contacts = read_contact_sensors(model, read.constraints.contacts)
+    return replace(
+        read,
+        touch_sensors=tuple(one for one in of_contacts if not one.counts),
+        contact_sensors=tuple(one for one in of_contacts if one.counts),
+        force_sensors=read_force_sensors(model),
+    )
+
+
+def _problem(model: Model, state: SubstepState, ctrl: Vector) -> tuple[SolverProblem, Instant]:
+    """The solver's problem in this state, and the state with the forces of the actuators."""
+    tree = model.tree
+    at = poses(tree, state.qpos)
+    moving = motion(tree, at, state.qvel)
+    mass = with_armature(model.tendons, mass_matrix(tree, moving))
+    force, done = _smooth_forces(model, state, ctrl, at, moving)
+    free = solve(tree, factorize(tree, mass), force)
+    placed = ConstraintState(state.qpos, state.qvel)
+    rows = constraint_rows(tree, model.constraints, at, moving, placed)
+    return SolverProblem(tree, mass, force, free, rows), Instant(tree, at, moving, state.qvel, done)
+
+
+def _readings(model: Model, problem: SolverProblem, now: Instant, found: Vector) -> Vector:
+    """The readings of the touch and force sensors, under the solved acceleration [nv]."""
+    felt = list[Vector]()
+    if model.touch_sensors:
+        felt.append(normal_forces(model.touch_sensors, model.constraints.contacts, problem.rows, found))
+    if model.force_sensors:
+        felt += force_readings(model.force_sensors, now, found)
+    return [number for one in felt for number in one]
+
+
+def _implicit(fields: Fields, tree: Tree) -> Implicit:
+    if fields.model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
+        return "velocities"
+    damped = any(not is_zero(dof.damping) for dof in tree.dofs)
+    return "damping" if damped and not fields.disables(mujoco.mjtDisableBit.mjDSBL_EULERDAMP) else "nothing"
+
+
+def _smooth_forces(
+    model: Model, state: SubstepState, ctrl: Vector, at: Poses, moving: Motion
+) -> tuple[Vector, Driven]:
+    """All forces but the constraints', [nv], and what the actuators do."""
+    tree, qpos, qvel = model.tree, state.qpos, state.qvel
+    held = weight_held(tree, at, moving)
+    own = ActuatorState(qpos, qvel, state.act, ctrl, held)
+    done = driven(tree, model.actuators, own, model.timestep)
+    passive = add(passive_forces(tree, qpos, qvel), tendon_forces(model.tendons, qpos, qvel))
+    for i, dof in enumerate(tree.dofs):
+        if held and not dof.holds_weight:
+            passive[i] = passive[i] + held[i]
+    bias = bias_forces(tree, moving, qvel, drag_forces(tree, model.fluid, at, moving))
+    return [x + y - z for x, y, z in zip(passive, done.on_dofs, bias, strict=True)], done
+
+
+def _integrated(model: Model, problem: SolverProblem, found: Vector, done: Driven) -> Vector:
+    """The acceleration by which the velocity changes, [nv].
+
+    All forces, with those of constraints, are M times the acceleration that was found. Computed from the
+    constraints instead, they would have the solver's and rounding's errors times the stiffness of contacts.
+    """
+    if model.implicit == "nothing":
+        return found
+    tree = model.tree
+    inertia: Entries = implicit_inertia(tree, problem.mass, model.timestep)
+    if model.implicit == "velocities":
+        add_slopes(inertia, model.tendons, model.actuators, done.slopes, model.timestep)
+    return solve(tree, factorize(tree, inertia), multiply(tree, problem.mass, found))
+
+
+def _joined(moved: Moved) -> list[Number]:
+    return [*moved.qpos, *moved.qvel, *moved.act, *moved.qacc, *moved.qfrc_actuator, *moved.readings]
+
+
+def _parted(values: list[Number], sizes: list[int]) -> list[Vector]:
+    """Parts of these sizes, and what is left."""
+    parts, place = list[Vector](), 0
+    for size in sizes:
+        parts.append(values[place : place + size])
+        place += size
+    return [*parts, values[place:]]

@@ -1,0 +1,123 @@
+"""The programs of an engine: a control step, and the derived fields of a state."""
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from math import nan
+
+import mujoco
+
+from mujoco_compiled.fields import Fields
+from mujoco_compiled.lanes.fold import folded
+from mujoco_compiled.lanes.lane_constants import NotAlike, alike_inputs, with_lane_constants
+from mujoco_compiled.lanes.limbs import Limbs, ways_to_share
+from mujoco_compiled.program.arithmetic import Vector, absolute, select
+from mujoco_compiled.program.program import Program, Symbol
+from mujoco_compiled.readings.derived import derived
+from mujoco_compiled.readings.scene import NO_READINGS, Scene
+from mujoco_compiled.substep import (
+    Model,
+    Moved,
+    SubstepState,
+    control_step,
+    read_model,
+    readings_by_sensor,
+    unmoved,
+    with_sensors,
+)
+
+# In float32 no solver gets below this part of its cost.
+_LEAST_TOLERANCE = 1e-6
+_LOG = logging.getLogger(__name__)
+_OF_FORCES = "qfrc_actuator"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """inputs: the sizes of qpos, qvel, act, qacc_warmstart, time and ctrl, as far as the program reads them,
+    and of the model's fields that differ between environments, own. derived: the fields to compute."""
+
+    model: mujoco.MjModel
+    inputs: Mapping[str, int]
+    own: tuple[str, ...]
+    derived: tuple[str, ...]
+
+
+def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
+    """The same for as many lanes as the body has limbs that are alike; for one if it has none."""
+    for limbs in ways_to_share(plan.model):
+        try:
+            alike = alike_inputs(read_model(plan.model), limbs, plan.own)
+            return folded(control_step_program(plan, num_substeps, limbs), alike, limbs.num_lanes)
+        except NotAlike as error:
+            _LOG.info("The body is not shared out to %d lanes: %s.", limbs.num_lanes, error)
+    return control_step_program(plan, num_substeps)
+
+
+def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = None) -> Program:
+    """From an environment's state and control to qpos, qvel, act, qacc_warmstart and the derived fields.
+
+    An environment in which a number is past the bound beyond which MuJoCo calls a state unstable, before or
+    after, becomes NaN. limbs: those in whose numbers the program is to be the same.
+    """
+    program, symbols, model = _begun(plan, limbs)
+    ctrl, state = symbols["ctrl"], _state(symbols)
+    moved = control_step(model, num_substeps, state, ctrl, reads_forces=_OF_FORCES in plan.derived)
+    after = {"qpos": moved.qpos, "qvel": moved.qvel, "act": moved.act, "qacc_warmstart": moved.qacc}
+    time = [one + num_substeps * model.timestep for one in symbols["time"]]
+    checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *ctrl]
+    is_sound = _is_sound([*checked, *(x for values in after.values() for x in values)])
+    seen = _derived(plan, symbols, model, moved, time)
+    for name, values in (*after.items(), *seen):
+        if values:
+            program.output(name, [select(is_sound, x, nan) for x in values])
+    return program
+
+
+def derived_program(plan: Plan) -> Program:
+    """From qpos, qvel and, if it is among the inputs, act, under controls of 0, to the derived fields."""
+    program, symbols, model = _begun(plan)
+    act: Vector = [*symbols["act"]] or [0.0] * plan.model.na
+    state = SubstepState(symbols["qpos"], symbols["qvel"], act, [0.0] * plan.model.nv)
+    standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
+    if _OF_FORCES in plan.derived or model.num_readings:
+        standing = unmoved(model, state, [0.0] * plan.model.nu)
+    for name, values in _derived(plan, symbols, model, standing, [0.0]):
+        if values:
+            program.output(name, values)
+    return program
+
+
+def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, Vector], Model]:
+    """A program with its inputs, empty where the plan has none, and the model with the inputs' fields."""
+    program = Program()
+    symbols = {name: list[Symbol]() for name in ("qpos", "qvel", "act", "qacc_warmstart", "time", "ctrl")}
+    symbols |= {name: program.inputs(name, size) for name, size in plan.inputs.items()}
+    read = read_model(plan.model, {name: symbols[name] for name in plan.own})
+    tolerance = max(_LEAST_TOLERANCE, read.solver.tolerance)
+    read = replace(read, solver=replace(read.solver, tolerance=tolerance))
+    if "sensordata" in plan.derived:
+        read = with_sensors(read, plan.model)
+    return program, symbols, with_lane_constants(program, read, limbs) if limbs else read
+
+
+def _state(symbols: Mapping[str, Vector]) -> SubstepState:
+    return SubstepState(symbols["qpos"], symbols["qvel"], symbols["act"], symbols["qacc_warmstart"])
+
+
+def _derived(
+    plan: Plan, symbols: Mapping[str, Vector], model: Model, moved: Moved, time: Vector
+) -> Iterator[tuple[str, Vector]]:
+    """One after the other: so each is written out before the next is computed."""
+    own = {name: symbols[name] for name in plan.own}
+    readings = readings_by_sensor(model, moved) if "sensordata" in plan.derived else NO_READINGS
+    scene = Scene(Fields(plan.model, own), moved.qpos, moved.qvel, time[0] if time else 0.0, readings)
+    scene.tree = model.tree  # It has the lanes' constants.
+    for name in plan.derived:
+        yield name, moved.qfrc_actuator if name == _OF_FORCES else derived(scene, (name,))[name]
+
+
+def _is_sound(values: Sequence[Symbol | float]) -> Symbol:
+    bounds = [absolute(x) < mujoco.mjMAXVAL for x in values if isinstance(x, Symbol)]
+    return reduce(lambda one, other: one & other, bounds)
