@@ -237,9 +237,6 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
         if (kinds[0], kinds[1]) not in COLLIDERS:
             first, second = (word(mujoco.mjtGeom(kind).name) for kind in kinds)
             yield f"{names}: {_with_article(first)} and {_with_article(second)}"
-        elif kinds[0] == kinds[1] == mujoco.mjtGeom.mjGEOM_BOX and pair.parameters.reach > 0.0:
-            # Where the boxes do not overlap yet, MuJoCo drops points by the direction in which it looked.
-            yield f"{names}: two boxes with a margin"
         elif not is_computable(pair.parameters.spring.impedance.power):
             yield f"{names}: its contact {_CURVE}"
         elif _is_thin_pyramid(model, pair):

@@ -35,7 +35,7 @@ XML = """
     <geom name="still" type="box" size="1 1 1" pos="1 2 3" euler="10 20 30"/>
     <body><freejoint/><geom name="moves" type="box" size="1 1 1"/></body>
   </worldbody>
-  <contact><pair geom1="still" geom2="moves"/></contact>
+  <contact><pair geom1="still" geom2="moves" margin="{}"/></contact>
 </mujoco>
 """
 
@@ -130,9 +130,9 @@ def states(turn: Callable[[np.random.Generator], Array], *, stacked: bool = Fals
     return apart(touching * (1.0 - depth))
 
 
-def of_mujoco(given: States) -> list[Array]:
-    """By state, MuJoCo's points: distance, position and normal, [points, 7]."""
-    model, found = mujoco.MjModel.from_xml_string(XML), list[Array]()
+def of_mujoco(given: States, margin: float = 0.0) -> list[Array]:
+    """By state, MuJoCo's points within the margin: distance, position and normal, [points, 7]."""
+    model, found = mujoco.MjModel.from_xml_string(XML.format(margin)), list[Array]()
     for sizes, positions, rotations in zip(given.sizes, given.positions, given.rotations, strict=True):
         quaternions = np.zeros((2, 4))
         for quaternion, rotation in zip(quaternions, rotations, strict=True):
@@ -142,13 +142,13 @@ def of_mujoco(given: States) -> list[Array]:
         data = mujoco.MjData(model)
         data.qpos[:] = [*positions[1], *quaternions[1]]
         mujoco.mj_forward(model, data)
-        both = [(one.dist, *one.pos, *one.frame[:3]) for one in data.contact if one.dist <= 0.0]
+        both = [(one.dist, *one.pos, *one.frame[:3]) for one in data.contact if one.dist <= margin]
         found.append(np.reshape(both, (-1, 7)))
     return found
 
 
-def overlapping(ours: Array) -> list[Array]:
-    return [one[one[:, 0] <= 0.0] for one in ours]
+def overlapping(ours: Array, margin: float = 0.0) -> list[Array]:
+    return [one[one[:, 0] <= margin] for one in ours]
 
 
 @pytest.mark.parametrize(
@@ -173,6 +173,24 @@ def test_boxes_touch_where_they_do_in_mujoco(
         assert max(apart.min(axis=0).max(), apart.min(axis=1).max()) < 1e-10
         numbers.add(len(ours))
     assert set(expected) <= numbers
+
+
+@pytest.mark.parametrize("turn", [any_way, parallel, tilted])
+def test_boxes_that_are_apart_touch_within_their_margin_as_in_mujoco(
+    turn: Callable[[np.random.Generator], Array],
+) -> None:
+    margin, generator, given = 0.05, np.random.default_rng(1), states(turn)
+    ways = np.diff(given.positions, axis=1)[:, 0]
+    ways *= (generator.uniform(0.0, margin, size=NUM_STATES) / np.linalg.norm(ways, axis=1))[:, None]
+    given.positions[:, 1] += ways
+    apart = 0
+    for ours, theirs in zip(overlapping(given.points(), margin), of_mujoco(given, margin), strict=True):
+        assert len(ours) == len(theirs)
+        if len(ours):
+            between = np.abs(ours[:, None] - theirs).max(axis=2)
+            assert max(between.min(axis=0).max(), between.min(axis=1).max()) < 1e-10
+            apart += ours[:, 0].min() > 0.0
+    assert apart > 0.3 * NUM_STATES
 
 
 def test_either_box_may_be_the_first() -> None:

@@ -131,6 +131,10 @@ def test_contacts_are_as_soft_as_in_mujoco(default: str) -> None:
     assert_touches_as_mujoco(meeting(PLANE, BALL, ROD, default=default))
 
 
+def test_boxes_push_within_their_margin_as_in_mujoco() -> None:
+    assert_touches_as_mujoco(meeting(BOX, BLOCK, default='margin="0.1" gap="0.05"'))
+
+
 def test_contacts_in_a_cone_without_friction_are_mujoco_s() -> None:
     # Pyramids without friction are refused.
     default = 'friction="0 0 0"'

@@ -99,14 +99,3 @@ def test_more_rows_than_code_can_hold_are_refused() -> None:
       </worldbody></mujoco>
     """)
     assert f"more than {MOST_ROWS}" in (uncovered(model) or "")
-
-
-def test_boxes_with_a_margin_are_refused() -> None:
-    model = mujoco.MjModel.from_xml_string("""
-      <mujoco><worldbody><geom name="floor" type="box" size="1 1 1"/>
-        <body pos="0 0 2"><freejoint/><geom name="block" type="box" size="0.1 0.1 0.1" margin="0.01"/></body>
-      </worldbody></mujoco>
-    """)
-    assert uncovered(model) == "its geoms 'floor' and 'block' can touch: two boxes with a margin"
-    model.geom_margin[:] = 0.0
-    assert uncovered(model) is None
