@@ -18,6 +18,10 @@ PARSER = parser({name: import_module(f"bench.{name}") for name in NAMES})
     [
         ("physics --gpu --bodies ant rodent --num-envs 64", {"gpu": True, "bodies": ["ant", "rodent"]}),
         ("physics --engines native mjx", {"engines": ["native", "mjx"], "gpu": False, "num_envs": None}),
+        (
+            "physics --gpu --bodies robots rodent --at-once 8 --limit 60",
+            {"bodies": ["robots", "rodent"], "limit": 60.0},
+        ),
         ("train mark --seeds 2 --bodies ant --without-brax", {"parts": ["mark"], "seeds": 2}),
         ("train --gpu --quick", {"parts": [], "gpu": True, "quick": True}),
         (
