@@ -23,6 +23,7 @@ _FOLLOWED = (
     _DISABLE.mjDSBL_EULERDAMP
     | _DISABLE.mjDSBL_FILTERPARENT
     | _DISABLE.mjDSBL_CONSTRAINT
+    | _DISABLE.mjDSBL_EQUALITY
     | _DISABLE.mjDSBL_LIMIT
     | _DISABLE.mjDSBL_CONTACT
     | _DISABLE.mjDSBL_SPRING
@@ -147,14 +148,42 @@ def _combinations(model: mujoco.MjModel) -> Iterator[str]:
 
 def _parts(model: mujoco.MjModel) -> Iterator[str]:
     """Kinds of parts of which the stages know none."""
-    if model.neq:
-        yield f"its equality {named(model, 'equality', 0)} ties bodies or joints together"
     if model.nflex:
         yield f"it has a flexible body, {named(model, 'flex', 0)}"
     if model.nmocap:
         yield "it has a mocap body"
     if model.nplugin:
         yield "it uses a plugin"
+
+
+def _equalities(model: mujoco.MjModel) -> Iterator[str]:
+    kinds = mujoco.mjtEq
+    known = (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD, kinds.mjEQ_JOINT, kinds.mjEQ_TENDON)
+    yield from where(model, "equality", ~np.isin(model.eq_type, known), "ties flexible bodies")
+    disabled = model.opt.disableflags & (_DISABLE.mjDSBL_EQUALITY | _DISABLE.mjDSBL_CONSTRAINT)
+    if disabled or not model.eq_active0.any():
+        return
+    yield from where(model, "equality", model.eq_active0 & _uncomputable(model.eq_solimp), _CURVE)
+    for number in _rigid_equalities(model)[:1]:
+        what = f"its equality {named(model, 'equality', number)}"
+        yield f"{what} ties bodies that turn about their centres: such ties are rigid in MuJoCo"
+
+
+def _rigid_equalities(model: mujoco.MjModel) -> list[int]:
+    """Those with a row that MuJoCo takes to be harder to move than it is, as in `_is_rigid`."""
+    data = mujoco.MjData(model)
+    for stage in (mujoco.mj_fwdKinematics, mujoco.mj_makeM, mujoco.mj_factorM, mujoco.mj_makeConstraint):
+        stage(model, data)
+    rows = np.flatnonzero(data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+    jacobian, solved = np.zeros((data.nefc, model.nv)), np.zeros((data.nefc, model.nv))
+    if mujoco.mj_isSparse(model):
+        structure = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+        mujoco.mju_sparse2dense(jacobian, data.efc_J, *structure)
+    elif data.nefc:
+        jacobian[:] = data.efc_J[: jacobian.size].reshape(jacobian.shape)
+    mujoco.mj_solveM(model, data, solved, jacobian)
+    weights = (jacobian * solved).sum(axis=1)
+    return [int(data.efc_id[row]) for row in rows if _MOST_STIFFNESS * data.efc_diagA[row] < weights[row]]
 
 
 def _joints(model: mujoco.MjModel) -> Iterator[str]:
@@ -295,7 +324,7 @@ def _rows(model: mujoco.MjModel) -> Iterator[str]:
 
 
 _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (
-    _options, _combinations, _parts, _joints, _tendons, _actuators, _contacts, _rows,
+    _options, _combinations, _parts, _equalities, _joints, _tendons, _actuators, _contacts, _rows,
 )  # fmt: skip
 _CURVE = "has a `solimp` whose power is not a multiple of a half"
 

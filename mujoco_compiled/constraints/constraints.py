@@ -1,4 +1,4 @@
-"""The rows of the constraint problem: joints and tendons at limits, friction of their own, and contacts.
+"""The rows of the constraint problem: equalities, friction of joints and tendons, their limits, and contacts.
 
 Every row that the model can ever have is there at all times; where it is not active, its stiffness D is 0.
 So the program's shape does not depend on the state.
@@ -16,6 +16,7 @@ from mujoco_compiled.constraints.contacts import (
     is_better_by_body,
     read_contacts,
 )
+from mujoco_compiled.constraints.couplings import Coupling, coupling_row, read_couplings
 from mujoco_compiled.constraints.friction_loss import FrictionLoss, friction_row, read_friction_losses
 from mujoco_compiled.constraints.limits import (
     BallLimit,
@@ -26,6 +27,7 @@ from mujoco_compiled.constraints.limits import (
     read_limits,
 )
 from mujoco_compiled.constraints.rows import ConstraintRows, RowGroup
+from mujoco_compiled.constraints.ties import Tie, read_ties, tie_rows
 from mujoco_compiled.fields import NOMINAL, Fields, Own
 from mujoco_compiled.program.arithmetic import Vector
 from mujoco_compiled.smooth.dynamics import Motion
@@ -40,6 +42,8 @@ _FEW_CONTACTS = 8
 class Constraints:
     """All that a model can ever have."""
 
+    ties: tuple[Tie, ...]
+    couplings: tuple[Coupling, ...]
     frictions: tuple[FrictionLoss, ...]
     limits: tuple[Limit, ...]
     ball_limits: tuple[BallLimit, ...]
@@ -48,8 +52,9 @@ class Constraints:
     @property
     def num_rows(self) -> int:
         """MuJoCo's rows, all of them active."""
-        of_others = len(self.frictions) + len(self.limits) + len(self.ball_limits)
-        return of_others + sum(contact.num_rows for contact in self.contacts)
+        single = (self.couplings, self.frictions, self.limits, self.ball_limits)
+        several = (*self.ties, *self.contacts)
+        return sum(len(rows) for rows in single) + sum(one.num_rows for one in several)
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,8 @@ def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
         return not fields.disables(kind, bit.mjDSBL_CONSTRAINT)
 
     return Constraints(
+        ties=read_ties(fields) if keeps(bit.mjDSBL_EQUALITY) else (),
+        couplings=read_couplings(fields) if keeps(bit.mjDSBL_EQUALITY) else (),
         frictions=read_friction_losses(fields) if keeps(bit.mjDSBL_FRICTIONLOSS) else (),
         limits=read_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
         ball_limits=read_ball_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
@@ -87,6 +94,8 @@ def constraint_rows(
         for point in contact_rows(tree, contact, at, moving, by_body=by_body, skips=skips)
     ]
     groups: list[RowGroup | BodyGroup] = [
+        *(row for tie in constraints.ties for row in tie_rows(tree, tie, at, moving, state.qvel)),
+        *(coupling_row(coupling, state.qpos, state.qvel) for coupling in constraints.couplings),
         *(friction_row(friction, state.qvel) for friction in constraints.frictions),
         *(limit_row(limit, state.qpos, state.qvel) for limit in constraints.limits),
         *(ball_limit_row(limit, state.qpos, state.qvel) for limit in constraints.ball_limits),

@@ -82,6 +82,30 @@ class OneSided:
 
 
 @dataclass(frozen=True)
+class TwoSided:
+    """An equality: each of its residuals is pushed back to 0 from both sides."""
+
+    stiffness: Number
+
+    def forces(self, residual: Vector) -> Vector:
+        return [-self.stiffness * x for x in residual]
+
+    def weights(self, residual: Vector) -> Matrix:
+        size = len(residual)
+        return [[self.stiffness if i == j else 0.0 for j in range(size)] for i in range(size)]
+
+    def slope(self, residual: Vector, rates: Vector) -> Slope:
+        at_start, bend = self.stiffness * dot(residual, rates), self.stiffness * dot(rates, rates)
+        return lambda step: (at_start + step * bend, bend)
+
+    def cost(self, residual: Vector) -> Number:
+        return 0.5 * self.stiffness * dot(residual, residual)
+
+    def cost_decrease(self, before: Vector, after: Vector) -> Number:
+        return 0.5 * self.stiffness * total((x - y) * (x + y) for x, y in zip(before, after, strict=True))
+
+
+@dataclass(frozen=True)
 class Pyramid:
     """A contact whose forces stay in a pyramid: each of its edges pushes for itself.
 

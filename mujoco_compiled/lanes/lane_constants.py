@@ -41,6 +41,15 @@ def with_lane_constants(program: Program, model: Model, limbs: Limbs) -> Model:
             ball_limits=place.merged(
                 constraints.ball_limits, place.grouped(constraints.ball_limits, lambda one: [one.dof])
             ),
+            ties=place.merged(
+                constraints.ties,
+                place.grouped(
+                    constraints.ties, lambda one: [one.one.body, one.other.body], limbs.lane_of_body
+                ),
+            ),
+            couplings=place.merged(
+                constraints.couplings, place.grouped(constraints.couplings, lambda one: one.dofs)
+            ),
             contacts=place.merged(
                 constraints.contacts,
                 place.grouped(

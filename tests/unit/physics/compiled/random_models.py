@@ -35,6 +35,7 @@ def random_model(seed: int) -> str:
     joints = _add_bodies(draw, world)
     tendons = _add_tendons(draw, root, [name for name, kind in joints.items() if kind in _SCALAR])
     _add_actuators(draw, root, joints, tendons)
+    _add_equalities(draw, root, [name for name, kind in joints.items() if kind in _SCALAR], tendons)
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -44,7 +45,7 @@ def _add_bodies(draw: Random, world: ElementTree.Element) -> dict[str, str]:
     for number in range(draw.choice([4, 1, 2, 3, 5, MOST_BODIES])):
         parent = draw.choice(bodies)
         is_root = parent is world
-        body = _add(parent, "body", _place(draw, 0.6 if is_root else 0.0))
+        body = _add(parent, "body", {"name": f"{number}"} | _place(draw, 0.6 if is_root else 0.0))
         bodies.append(body)
         for place, kind in enumerate(_kinds(draw, is_root=is_root, is_first=number == 0)):
             joints[f"{kind} {number} {place}"] = kind
@@ -75,6 +76,43 @@ def _add_actuators(
         turns = not on_tendon and joints[target] not in _SCALAR
         kind, attributes = _actuator(draw, turns=turns)
         _add(section, kind, {"tendon" if on_tendon else "joint": target, **attributes})
+
+
+def _add_equalities(
+    draw: Random, root: ElementTree.Element, joints: Sequence[str], tendons: Sequence[str]
+) -> None:
+    """On half of the models. joints: those with one axis."""
+    bodies, section = list(root.iter("body")), _add(root, "equality", {})
+    for number in range(draw.choice([0, 0, 1, 2])):
+        kind = draw.choice(
+            ["connect", "weld", *(["joint"] if joints else []), *(["tendon"] if tendons else [])]
+        )
+        if kind in ("joint", "tendon"):
+            several = joints if kind == "joint" else tendons
+            names = draw.sample(several, draw.randint(1, min(2, len(several))))
+            ends: Attributes = {f"{kind}{k + 1}": name for k, name in enumerate(names)}
+            ends["polycoef"] = [
+                _number(draw, -0.1, 0.1),
+                _number(draw, 0.5, 2.0, signed=True),
+                *_vector(draw, 3, 0.2),
+            ]
+        else:
+            ends = _tied(draw, kind, bodies, number)
+        _add(
+            section, kind, ends | {"solref": _maybe_one(draw, _SOLREFS), "solimp": _maybe_one(draw, _CURVES)}
+        )
+
+
+def _tied(draw: Random, kind: str, bodies: Sequence[ElementTree.Element], number: int) -> Attributes:
+    """Two sites, or two bodies, or one body and the world."""
+    chosen = draw.sample(bodies, draw.randint(1, min(2, len(bodies))))
+    scale = {"torquescale": _number(draw, 0.1, 2.0)} if kind == "weld" else {}
+    if len(chosen) == 2 and _coin(draw):
+        for place, body in enumerate(chosen):
+            _add(body, "site", {"name": f"{number} {place}", **_place(draw, 0.0)})
+        return scale | {f"site{k + 1}": f"{number} {k}" for k in range(2)}
+    anchor = {"anchor": _vector(draw, 3, 0.2)} if kind == "connect" or _coin(draw) else {}
+    return scale | anchor | {f"body{k + 1}": body.attrib["name"] for k, body in enumerate(chosen)}
 
 
 def _add(parent: ElementTree.Element, tag: str, attributes: Attributes) -> ElementTree.Element:
