@@ -5,17 +5,16 @@ from collections.abc import Callable, Iterator, Sequence
 import mujoco
 import numpy as np
 
-from core.physics.model import GEOMETRY
 from mujoco_compiled.collisions.own_boxes import fixed_boxes, says_spacing
 from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.constraints.constraints import read_constraints
 from mujoco_compiled.constraints.pairs import Pair, read_pairs
 from mujoco_compiled.constraints.solref import is_computable
-from mujoco_compiled.fields import Fields
+from mujoco_compiled.fields import GEOMETRY, Fields
 from mujoco_compiled.named import named, where, word
 from mujoco_compiled.program.arithmetic import squared
 from mujoco_compiled.readings.derived import DERIVED_FIELDS
-from mujoco_compiled.readings.sensor_coverage import turn_several_axes, unread
+from mujoco_compiled.readings.sensor_coverage import turn_several_axes, unread_sensors
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 # Switches that the stages follow, and those that change nothing that they compute.
@@ -51,17 +50,22 @@ MOST_ROWS = 2_000
 _MOST_STIFFNESS = 5000.0
 
 
-def uncovered(model: mujoco.MjModel) -> str | None:
-    """The first reason why the stages cannot move the model, such as "its geom 'rock' is a mesh"; None: they
-    can."""
-    return next((reason for check in _CHECKS for reason in check(model)), None)
+class Uncovered(NotImplementedError):
+    """What the stages cannot compute, as a sentence."""
+
+
+def uncovered(model: mujoco.MjModel, derived: Sequence[str] = ()) -> str | None:
+    """The first reason why the stages cannot move the model, or compute these derived fields of it, such as
+    "its geom 'rock' is a mesh"; None: they can."""
+    reasons = (reason for check in _CHECKS for reason in check(model))
+    return next(reasons, None) or uncovered_fields(model, derived)
 
 
 def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
     """The first reason why these derived fields cannot be computed for a model that the stages can move."""
     if unknown := sorted(set(names) - set(DERIVED_FIELDS)):
         return f"{unknown[0]} is not a derived field"
-    return next((why for _, why in unread(model)), None) if "sensordata" in names else None
+    return next((why for _, why in unread_sensors(model)), None) if "sensordata" in names else None
 
 
 def uncovered_own(model: mujoco.MjModel, names: Sequence[str], derived: Sequence[str] = ()) -> str | None:

@@ -2,15 +2,57 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from core.physics.model import model_field
 from mujoco_compiled.program.arithmetic import Number, Vector, maximum, select
 from mujoco_compiled.program.program import Symbol
 
-# Numbers of some of `engine.MODEL_FIELDS`, flattened, in place of the model's own.
+# Fields of the model that may differ between environments, by their names in `mujoco.batch`. Constants that
+# `mj_setConst` derives (`actuator_acc0`, `body_invweight0`, `body_subtreemass`, `dof_invweight0`,
+# `tendon_invweight0`) are not recomputed: code that changes a mass must pass them, too. Those of `GEOMETRY`
+# may differ for boxes that never move, and are passed together.
+MODEL_FIELDS = (
+    "actuator_acc0",
+    "actuator_biasprm",
+    "actuator_dynprm",
+    "actuator_forcerange",
+    "actuator_gainprm",
+    "actuator_gear",
+    "body_inertia",
+    "body_invweight0",
+    "body_ipos",
+    "body_mass",
+    "body_pos",
+    "body_quat",
+    "body_subtreemass",
+    "dof_armature",
+    "dof_damping",
+    "dof_frictionloss",
+    "dof_invweight0",
+    "geom_aabb",
+    "geom_friction",
+    "geom_pos",
+    "geom_quat",
+    "geom_rbound",
+    "geom_size",
+    "geom_solref",
+    "jnt_stiffness",
+    "opt.gravity",
+    "tendon_invweight0",
+)
+# Where geoms are, how turned and how large, and the bounds that MuJoCo derives from it.
+GEOMETRY = ("geom_aabb", "geom_pos", "geom_quat", "geom_rbound", "geom_size")
+
+
+def model_field(model: Any, name: str) -> Any:
+    """A field of a model, MuJoCo's or an engine's; fields of its options are called `opt.…`."""
+    return getattr(model.opt, name.removeprefix("opt.")) if name.startswith("opt.") else getattr(model, name)
+
+
+# Numbers of some of `MODEL_FIELDS`, flattened, in place of the model's own.
 Own = Mapping[str, Vector]
 NOMINAL: Own = {}
 

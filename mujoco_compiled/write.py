@@ -76,14 +76,13 @@ def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = No
 
 
 def derived_program(plan: Plan) -> Program:
-    """From qpos, qvel and, if it is among the inputs, act, under controls of 0, to the derived fields."""
+    """From an environment's state and, where a field depends on forces, its control to the derived fields."""
     program, symbols, model = _begun(plan)
-    act: Vector = [*symbols["act"]] or [0.0] * plan.model.na
-    state = SubstepState(symbols["qpos"], symbols["qvel"], act, [0.0] * plan.model.nv)
+    state = _state(symbols)
     standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
     if _OF_FORCES in plan.derived or model.num_readings:
-        standing = unmoved(model, state, [0.0] * plan.model.nu)
-    for name, values in _derived(plan, symbols, model, standing, [0.0]):
+        standing = unmoved(model, state, symbols["ctrl"])
+    for name, values in _derived(plan, symbols, model, standing, symbols["time"]):
         if values:
             program.output(name, values)
     return program

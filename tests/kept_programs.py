@@ -13,7 +13,7 @@ import jax
 import platformdirs
 from jax._src import lru_cache
 
-from mujoco_compiled.code.kept_code import keep_code
+from mujoco_compiled import keep_code
 from worker.compile_cache.fingerprint import fingerprint
 from worker.compile_cache.local import keep_within
 

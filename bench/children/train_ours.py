@@ -65,7 +65,7 @@ def keep_compiled(cache: str, engine: str) -> None:
     import jax
 
     from core.physics.choose import set_warp_cache
-    from mujoco_compiled.code.kept_code import keep_code
+    from mujoco_compiled import keep_code
 
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

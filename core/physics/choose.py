@@ -40,7 +40,8 @@ class _Builder:
         unknown = sorted(set(derived) - set(DERIVED_FIELDS))
         if unknown:
             raise ValueError(f"No engine computes {unknown}; the derived fields are {DERIVED_FIELDS}.")
-        check_runs(self.name, model, derived)
+        if self.name != "compiled":  # It looks itself: some models take half a second.
+            check_runs(self.name, model, derived)
         match self.name:
             case "native":
                 from core.physics.native import NativeEngine
@@ -57,8 +58,7 @@ class _Builder:
                 return WarpEngine(with_enough_iterations(model, accelerated), num_substeps, derived)
             case "compiled":
                 check_installed("compiled")
-                from mujoco_compiled.engine import CompiledEngine
-                from mujoco_compiled.refusal import check_solver
+                from core.physics.compiled import CompiledEngine, check_solver
 
                 check_solver(accelerated)
                 return CompiledEngine(with_solver_of_compiled(model, accelerated), num_substeps, derived)

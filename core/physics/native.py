@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from core.devices import num_cores
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
-from core.physics.host_call import Floats, host_call
-from core.physics.model import in_parts, of_parts, with_loose_frames
+from core.physics.model import Floats, in_parts, of_parts, with_loose_frames
+from mujoco_compiled import host_call
 
 _Move = Callable[[Batch, NDArray[np.intp] | None], None]
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from core.physics.model import GEOMETRY
-from mujoco_compiled.fields import Fields
+from mujoco_compiled.fields import GEOMETRY, Fields
 from mujoco_compiled.program.arithmetic import Vector
 
 _SPACING = "box_spacing"

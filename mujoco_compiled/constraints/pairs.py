@@ -50,6 +50,12 @@ def read_pairs(fields: Fields) -> list[Pair]:
     ]
 
 
+def pairs_of_geoms(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
+    """Numbers of geoms that may touch: pairs that the model lists, and those that its filter lets pass."""
+    yield from listed_geoms(model)
+    yield from touching_geoms(model)
+
+
 def listed_geoms(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """The geoms of each `<pair>`."""
     return [(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]

@@ -13,7 +13,7 @@ from mujoco_compiled.readings.contact_sensors import encloses
 from mujoco_compiled.readings.sensors import is_known
 
 
-def unread(model: mujoco.MjModel) -> Iterator[tuple[int, str]]:
+def unread_sensors(model: mujoco.MjModel) -> Iterator[tuple[int, str]]:
     """The sensors that cannot be read, by number, and why: the first in the model first."""
     kinds, camera, disable = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_CAMERA, mujoco.mjtDisableBit
     disables = model.opt.disableflags & (disable.mjDSBL_SENSOR | disable.mjDSBL_ACTUATION)

@@ -26,7 +26,7 @@ from core.jobs.spec import RolloutSpec
 from core.physics.availability import CHOOSE_ANOTHER, EngineChoice, EngineName, choose, share_states
 from core.physics.choose import engine_builder, set_warp_cache
 from core.reasons import Reason
-from mujoco_compiled.code.kept_code import keep_code
+from mujoco_compiled import keep_code
 from worker.compile_cache.local import CACHE
 from worker.protocol import Started, Task
 from worker.training import hosts

@@ -19,9 +19,8 @@ from core.environments.terms.inventory import Inventory
 from core.environments.terms.task import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.errors import BadModel, JobFailed
 from core.physics.availability import EngineName
-from core.physics.coverage import check_runs, unread_sensors
+from core.physics.coverage import check_runs, unread_by_engine
 from core.user_models.record import Description
-from mujoco_compiled.refusal import check_covered
 from worker.validation.letting_go import let_go, notes
 from worker.validation.trials import tried, what_keeps, with_choices
 
@@ -73,7 +72,7 @@ def findings(file: Path) -> Iterator[Description]:
 
 
 def _with_unread_sensors(found: Inventory, model: mujoco.MjModel) -> Inventory:
-    beyond = unread_sensors(model)
+    beyond = unread_by_engine(model)
     sensors = [
         sensor.model_copy(update={"beyond": dict(beyond.get(number, {}))})
         for number, sensor in enumerate(found.sensors)
@@ -95,7 +94,7 @@ def _judged_by_reading(model: mujoco.MjModel) -> dict[EngineName, str | None]:
     the others would leave out in silence."""
     engines: dict[EngineName, str | None] = {
         "native": what_keeps(partial(check_runs, "native"), model),
-        "compiled": what_keeps(check_covered, model),
+        "compiled": what_keeps(partial(check_runs, "compiled"), model),
     }
     for name in get_args(EngineName):
         if name not in engines and (why := what_keeps(partial(check_runs, name), model)):

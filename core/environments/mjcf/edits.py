@@ -26,7 +26,7 @@ from core.errors import JobFailed
 from core.physics.model import initial_qpos
 from core.reasons import Reason
 from core.rendering import floor, scene
-from mujoco_compiled.coverage import uncovered
+from mujoco_compiled import uncovered
 
 _DRIVEN = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _ON_A_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)

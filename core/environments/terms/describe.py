@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable, Iterator
-from itertools import chain, islice
+from itertools import islice
 from typing import Any
 
 import mujoco
@@ -11,7 +11,7 @@ import numpy as np
 from core.environments.terms.actuation import kind_of, motor_of
 from core.environments.terms.inventory import Actuator, Inventory, Joint, JointType, Sensor, Sizes
 from core.physics.model import initial_qpos
-from mujoco_compiled.constraints.pairs import listed_geoms, touching_geoms
+from mujoco_compiled import pairs_of_geoms
 
 JOINT_TYPES: dict[Any, JointType] = {
     mujoco.mjtJoint.mjJNT_FREE: "free",
@@ -93,7 +93,7 @@ def _welded(model: mujoco.MjModel, geom: int) -> list[str]:
 
 def _num_pairs(model: mujoco.MjModel) -> int:
     """The number of pairs of geoms that may touch, counted up to `_MOST_PAIRS`."""
-    return sum(1 for _ in islice(chain(listed_geoms(model), touching_geoms(model)), _MOST_PAIRS))
+    return sum(1 for _ in islice(pairs_of_geoms(model), _MOST_PAIRS))
 
 
 def root_of(model: mujoco.MjModel) -> int:

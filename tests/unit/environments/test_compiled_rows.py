@@ -8,9 +8,11 @@ import pytest
 from core.environments import catalog
 from core.environments.randomization import FIELDS
 from core.errors import JobFailed
+from core.physics.compiled import check_solver
+from core.physics.coverage import check_runs
 from core.physics.engine import CONSTANTS, Engine, SolverSettings
 from core.physics.model import with_solver_of_compiled
-from mujoco_compiled.refusal import check_covered, check_own, check_solver
+from mujoco_compiled import uncovered_own
 from tests.extra import extra
 
 # Options that change the model, and not only the reward.
@@ -74,7 +76,7 @@ def asked_for(environment: str, options: dict[str, Any]) -> Asked:
 def refusal(asked: Asked) -> str | None:
     try:
         check_solver(asked.settings)
-        check_covered(asked.model, asked.derived)
+        check_runs("compiled", asked.model, asked.derived)
     except JobFailed as failure:
         return failure.detail
     return None
@@ -104,7 +106,7 @@ def test_a_row_refuses_what_its_model_has_and_the_engine_lacks_and_nothing_else(
 )
 def test_what_auto_moves_by_it_may_be_randomized_in_every_field(environment: str) -> None:
     # `auto` does not look at a job's randomization: it must fail no job that `native` would run.
-    check_own(asked_for(environment, {}).model, (*FIELDS, *CONSTANTS))
+    assert uncovered_own(asked_for(environment, {}).model, (*FIELDS, *CONSTANTS)) is None
 
 
 def test_environments_with_physics_of_their_own_refuse_it() -> None:

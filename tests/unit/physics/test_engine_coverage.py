@@ -7,7 +7,7 @@ import pytest
 from core.errors import JobFailed, Rejected
 from core.physics.availability import EngineName, check_physics
 from core.physics.choose import engine_builder
-from core.physics.coverage import check_runs, unread_sensors, unrun
+from core.physics.coverage import check_runs, unread_by_engine, unrun
 
 ARM = """
 <mujoco>
@@ -77,7 +77,7 @@ def test_what_mjx_and_warp_would_leave_out_is_not_run_by_them(parts: dict[str, s
 @pytest.mark.parametrize("late", ['delay="0.02" nsample="6"', 'interval="0.02" nsample="2"'])
 def test_a_late_sensor_keeps_an_engine_only_from_jobs_that_read_it(late: str) -> None:
     model = arm(sensor=f'<jointvel joint="elbow"/><jointpos name="angle" joint="elbow" {late}/>')
-    assert {number: set(why) for number, why in unread_sensors(model).items()} == {
+    assert {number: set(why) for number, why in unread_by_engine(model).items()} == {
         1: {"mjx", "warp", "compiled"}
     }
     for engine in ON_JAX:

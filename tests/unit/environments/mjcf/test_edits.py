@@ -12,7 +12,7 @@ from core.environments.mjcf.edits import clearance, edit, edits_for_compiled
 from core.environments.patterns import matching
 from core.environments.terms.describe import inventory
 from core.errors import JobFailed
-from mujoco_compiled.coverage import uncovered
+from mujoco_compiled import uncovered
 
 DOG = """
 <mujoco>

@@ -31,7 +31,7 @@ from core.jobs.spec import TrainSpec
 from core.jobs.workers import how_to_install
 from core.physics.choose import engine_builder
 from core.physics.engine import SolverSettings
-from mujoco_compiled.coverage import uncovered
+from mujoco_compiled import uncovered
 from tests.extra import extra
 
 ROOT = Path(__file__).parents[4]

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from core.physics.compiled import CompiledEngine
 from core.physics.engine import PhysicsState
 from mujoco_compiled.code import cpu_call
-from mujoco_compiled.engine import CompiledEngine
 from tests.extra import extra
 
 # Fewer than a vector has lanes, a whole vector, and one more than one and two of them.

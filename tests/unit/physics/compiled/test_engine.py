@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from core.errors import JobFailed
+from core.physics.compiled import CompiledEngine
 from core.physics.engine import PhysicsState
 from core.physics.model import brax_model, initial_qpos
 from mujoco_compiled.code import cpu_call, kept_code
-from mujoco_compiled.engine import CompiledEngine
 
 
 @pytest.fixture(scope="module")

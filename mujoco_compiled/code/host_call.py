@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from core.physics.xla_ffi import CallFrame, arrays_of, claim_version, error_of, string_of
+from mujoco_compiled.code.xla_ffi import CallFrame, arrays_of, claim_version, error_of, string_of
 
 Floats = NDArray[np.float32]
 HostFunction = Callable[..., Sequence[Floats]]
 
-_TARGET = "gaitway_host_call"
+_TARGET = "mujoco_compiled_host_call"
 # Never emptied: nothing tells when the last compiled program that uses a name is gone.
 _functions: dict[str, HostFunction] = {}
 
@@ -66,7 +66,7 @@ def _is_registered() -> bool:
     try:
         jax.ffi.register_ffi_target(_TARGET, jax.ffi.pycapsule(_handle), platform="cpu")
     except RuntimeError as error:
-        warnings.warn(f"Compiled programs are not cached between jobs: {error}", stacklevel=2)
+        warnings.warn(f"Compiled programs are not cached between processes: {error}", stacklevel=2)
         return False
     return True
 

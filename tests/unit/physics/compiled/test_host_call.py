@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.physics import host_call as module
-from core.physics.host_call import host_call
+from mujoco_compiled.code import host_call as module
+from mujoco_compiled.code.host_call import host_call
 
 _numbers = itertools.count()
 
@@ -117,7 +117,7 @@ def test_where_xla_refuses_the_handler_the_callback_takes_over(monkeypatch: pyte
     module._is_registered.cache_clear()
     monkeypatch.setattr(jax.ffi, "register_ffi_target", refuse)
     try:
-        with pytest.warns(UserWarning, match="not cached between jobs: another version"):
+        with pytest.warns(UserWarning, match="not cached between processes: another version"):
             lowered = jax.jit(lambda x, y: weighed(x, y)).lower(jnp.zeros(3), jnp.float32(2.0))
         assert module._TARGET not in lowered.as_text()
         assert float(lowered.compile()(jnp.ones(3), jnp.float32(2.0))[1]) == 3.0
