@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from core.physics.compiled import CompiledEngine
 from mujoco_compiled.constraints.constraints import read_constraints
 from mujoco_compiled.coverage import uncovered
-from mujoco_compiled.engine import CompiledEngine
 from mujoco_compiled.write import control_step_in_lanes
 from tests.extra import extra
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
