@@ -10,9 +10,9 @@ from pathlib import Path
 import mujoco
 import pytest
 
+from core.physics.compiled import CompiledEngine
 from core.physics.trial import compare, record
 from mujoco_compiled.coverage import uncovered, uncovered_fields
-from mujoco_compiled.engine import CompiledEngine
 from tests.extra import extra
 
 FOLDER = Path(__file__).parent / "features"
