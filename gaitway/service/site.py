@@ -68,6 +68,8 @@ def _gather(pages: Path) -> None:
     for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
         shutil.copy(_ROOT / name, pages)
     (pages / "README.md").rename(pages / "index.md")
+    (pages / "mujoco_compiled").mkdir()
+    shutil.copy(_ROOT / "mujoco_compiled" / "README.md", pages / "mujoco_compiled" / "index.md")
     for page in pages.rglob("*.md"):
         # The site's theme would fetch Mermaid from another host, so it shows a drawing's text.
         text = page.read_text().replace("README.md", "index.md").replace("```mermaid", "```text")

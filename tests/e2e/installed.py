@@ -36,13 +36,13 @@ class Installed:
         )
 
 
-def install(folder: Path, *extras: str) -> Installed:
-    """The wheel of this checkout, in an empty environment with the dependencies of these extras.
+def install(folder: Path, *extras: str, project: Path = ROOT) -> Installed:
+    """A project's wheel, in an empty environment with the dependencies of these extras.
 
     No test reaches a package index: the dependencies are links to the files of the environment that runs the
     tests, without its editable installation of the checkout.
     """
-    wheel = build_wheel(folder / "dist")
+    wheel = build_wheel(folder / "dist", project)
     home = folder / "venv"
     venv.create(home, symlinks=True)
     site = Path(sysconfig.get_path("purelib", "venv", {"base": str(home), "platbase": str(home)}))
@@ -54,10 +54,10 @@ def install(folder: Path, *extras: str) -> Installed:
     return Installed(home, wheel)
 
 
-def build_wheel(folder: Path) -> Path:
-    """The wheel of this checkout, built into the folder."""
+def build_wheel(folder: Path, project: Path = ROOT) -> Path:
+    """The wheel of a project, by default this checkout, built into the folder."""
     build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    subprocess.run(build, cwd=project, check=True, capture_output=True)
     [wheel] = folder.glob("*.whl")
     return wheel
 

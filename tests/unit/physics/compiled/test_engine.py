@@ -1,5 +1,6 @@
 """The engine beyond what every engine must do: its bits, its code on disk, and what it refuses."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import jax
@@ -8,9 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
+import mujoco_compiled
 from core.errors import JobFailed
 from core.physics.compiled import CompiledEngine
-from core.physics.engine import PhysicsState
+from core.physics.engine import DERIVED_FIELDS, MODEL_FIELDS, PhysicsState
 from core.physics.model import brax_model, initial_qpos
 from mujoco_compiled.code import cpu_call, kept_code
 
@@ -79,3 +81,9 @@ def test_a_field_that_environments_must_share_is_refused_by_name() -> None:
     engine = CompiledEngine(mujoco.MjModel.from_xml_string(f"<mujoco>{body}</mujoco>"), 1, ())
     with pytest.raises(JobFailed, match="body_pos: its body 'shelf' stands still"):
         engine.reset(jnp.zeros(7), jnp.zeros(6), {"body_pos": jnp.zeros((3, 3))})
+
+
+def test_the_library_has_the_fields_that_every_engine_has() -> None:
+    assert set(DERIVED_FIELDS) <= set(mujoco_compiled.DERIVED_FIELDS)
+    assert set(MODEL_FIELDS) <= set(mujoco_compiled.MODEL_FIELDS)
+    assert set(mujoco_compiled.DERIVED_FIELDS) <= {field.name for field in fields(mujoco_compiled.Data)}

@@ -1,7 +1,9 @@
 """The library as its users have it: what its names load, and its step beside C MuJoCo's and MJX's."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +32,15 @@ BODY = """
     <general name="drive" joint="hinge" dyntype="filter" dynprm="0.05" gainprm="2" ctrlrange="-1 1"/>
   </actuator>
   <sensor><clock/><actuatorfrc actuator="drive"/></sensor>
+</mujoco>
+"""
+POLE = """
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body pos="0 0 1"><joint name="hinge" axis="0 1 0"/><geom pos="0 0 -0.3" size="0.1"/></body>
+  </worldbody>
+  <actuator><motor joint="hinge"/></actuator>
 </mujoco>
 """
 DERIVED = ("xpos", "sensordata", "qfrc_actuator")
@@ -125,3 +136,25 @@ def test_a_name_loads_no_more_than_it_needs(names: tuple[str, ...], unneeded: se
 def test_all_names_are_there_and_no_other() -> None:
     assert all(hasattr(mujoco_compiled, name) for name in mujoco_compiled.__all__)
     assert not hasattr(mujoco_compiled, "unknown")
+
+
+def test_the_readmes_program_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("body.xml").write_text(POLE)
+    exec(readmes_program(), {})  # noqa: S102
+    check_told(capsys.readouterr().out)
+
+
+def check_told(told: str) -> None:
+    """The program's output for a pole that hangs, and is damped."""
+    time, *positions = map(float, re.findall(r"-?\d+\.?\d*", told))
+    assert time == pytest.approx(2.5)
+    assert positions == pytest.approx([0, 0, 0, 0, 0, 1], abs=1e-6)
+
+
+def readmes_program() -> str:
+    """The first program of the library's page."""
+    page = Path(mujoco_compiled.__file__).with_name("README.md").read_text()
+    return page.partition("```python\n")[2].partition("```")[0]
