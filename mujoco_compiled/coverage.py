@@ -144,8 +144,6 @@ def _combinations(model: mujoco.MjModel) -> Iterator[str]:
             yield "it moves in a fluid, and its integrator is implicitfast"
         if model.geom_fluid[:, 0].any():
             yield "its geoms move in the fluid as ellipsoids (`fluidshape`)"
-    if is_implicit and any(_flies_alone(model, body) for body in range(1, model.nbody)):
-        yield "its integrator is implicitfast, and a free body of it carries no joints"
     if option.disableactuator:
         yield "it disables groups of actuators"
 
@@ -248,14 +246,6 @@ def _actuators(model: mujoco.MjModel) -> Iterator[str]:
 def _keeps_limits(model: mujoco.MjModel) -> bool:
     """Whether the ranges of joints and tendons are kept."""
     return not (model.opt.disableflags & (_DISABLE.mjDSBL_LIMIT | _DISABLE.mjDSBL_CONSTRAINT))
-
-
-def _flies_alone(model: mujoco.MjModel, body: int) -> bool:
-    """Whether the body has a free joint, and neither it nor what it carries has another joint."""
-    first = int(model.body_jntadr[body])
-    tree = int(model.body_treeid[body])
-    is_free = first >= 0 and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE
-    return bool(is_free and model.tree_dofnum[tree] == 6)
 
 
 def _contacts(model: mujoco.MjModel) -> Iterator[str]:

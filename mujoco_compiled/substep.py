@@ -44,6 +44,7 @@ from mujoco_compiled.smooth.fluid import Fluid, drag_forces, read_fluid
 from mujoco_compiled.smooth.forces import passive_forces, weight_held
 from mujoco_compiled.smooth.integration import Implicit, add_slopes, implicit_inertia, integrated
 from mujoco_compiled.smooth.kinematics import Poses, poses
+from mujoco_compiled.smooth.lone_bodies import lone_accelerations, read_lone_bodies
 from mujoco_compiled.smooth.tendons import Tendon, read_tendons, tendon_forces, with_armature
 from mujoco_compiled.smooth.tree import Tree, read_tree
 
@@ -139,7 +140,7 @@ def substep(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
     problem, now = _problem(model, state, ctrl)
     done = now.done
     found = acceleration(problem, state.qacc if model.warm_start else problem.free, model.solver)
-    qvel = add(state.qvel, scale(_integrated(model, problem, found, done), model.timestep))
+    qvel = add(state.qvel, scale(_integrated(model, problem, found, now), model.timestep))
     qpos = integrated(model.tree, state.qpos, qvel, model.timestep)
     return Moved(qpos, qvel, done.act, found, done.on_dofs, _readings(model, problem, now, found))
 
@@ -228,7 +229,7 @@ def _smooth_forces(
     return [x + y - z for x, y, z in zip(passive, done.on_dofs, bias, strict=True)], done
 
 
-def _integrated(model: Model, problem: SolverProblem, found: Vector, done: Driven) -> Vector:
+def _integrated(model: Model, problem: SolverProblem, found: Vector, now: Instant) -> Vector:
     """The acceleration by which the velocity changes, [nv].
 
     All forces, with those of constraints, are M times the acceleration that was found. Computed from the
@@ -236,11 +237,17 @@ def _integrated(model: Model, problem: SolverProblem, found: Vector, done: Drive
     """
     if model.implicit == "nothing":
         return found
-    tree = model.tree
+    tree, done = model.tree, now.done
     inertia: Entries = implicit_inertia(tree, problem.mass, model.timestep)
-    if model.implicit == "velocities":
-        add_slopes(inertia, model.tendons, model.actuators, done.slopes, model.timestep)
-    return solve(tree, factorize(tree, inertia), multiply(tree, problem.mass, found))
+    force = multiply(tree, problem.mass, found)
+    if model.implicit == "damping":
+        return solve(tree, factorize(tree, inertia), force)
+    add_slopes(inertia, model.tendons, model.actuators, done.slopes, model.timestep)
+    changed = solve(tree, factorize(tree, inertia), force)
+    for lone in read_lone_bodies(tree):
+        own = lone_accelerations(lone, now.at, now.moving, inertia, force, model.timestep)
+        changed[lone.dof : lone.dof + 6] = own
+    return changed
 
 
 def _joined(moved: Moved) -> list[Number]:

@@ -159,7 +159,7 @@ def _maybe_one(draw: Random, several: Sequence[str]) -> str | None:
 
 
 def _options(draw: Random) -> Attributes:
-    # A fluid and a free body without joints are covered with Euler alone, so it is more frequent.
+    # A fluid is covered with Euler alone, so it is more frequent.
     return {
         "timestep": draw.choice([0.002, 0.005]),
         "integrator": draw.choice(["Euler", "Euler", "implicitfast"]),

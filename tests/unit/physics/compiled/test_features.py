@@ -18,7 +18,6 @@ from tests.extra import extra
 FOLDER = Path(__file__).parent / "features"
 DEFAULT = ("closed_leg", "condim_6", "imu", "servos")
 REFUSED = {
-    "fixed_arm": "its integrator is implicitfast, and a free body of it carries no joints",
     "mesh_feet": "its geoms 'floor' and number 3 can touch: a plane and a mesh",
 }
 NAMES = sorted(file.stem for file in FOLDER.iterdir())
