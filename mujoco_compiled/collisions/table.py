@@ -1,4 +1,4 @@
-"""Which kinds of geoms have an exact contact, and what computes it."""
+"""Which kinds of geoms have a contact, and what computes it."""
 
 from collections.abc import Callable, Mapping
 
@@ -7,7 +7,9 @@ import mujoco
 from mujoco_compiled.collisions.box_box import box_box
 from mujoco_compiled.collisions.boxes import sphere_box
 from mujoco_compiled.collisions.capsule_box import capsule_box
+from mujoco_compiled.collisions.cylinders import sphere_cylinder
 from mujoco_compiled.collisions.ellipsoid_box import ellipsoid_box
+from mujoco_compiled.collisions.faces import convex_collider, num_convex_points
 from mujoco_compiled.collisions.planes import (
     plane_box,
     plane_capsule,
@@ -86,11 +88,24 @@ COLLIDERS: Mapping[tuple[int, int], tuple[Collider, int]] = {
     (_PLANE, _BOX): (plane_box, 4),
     (_SPHERE, _SPHERE): (sphere_sphere, 1),
     (_SPHERE, _CAPSULE): (sphere_capsule, 1),
+    (_SPHERE, _CYLINDER): (sphere_cylinder, 1),
     (_SPHERE, _BOX): (sphere_box, 1),
     (_CAPSULE, _CAPSULE): (capsule_capsule, 1),
     (_CAPSULE, _BOX): (capsule_box, 2),
     (_ELLIPSOID, _BOX): (ellipsoid_box, 1),
     (_BOX, _BOX): (box_box, 8),
+    **{
+        kinds: (convex_collider(*kinds), num_convex_points(*kinds))
+        for kinds in (
+            (_SPHERE, _ELLIPSOID),
+            (_CAPSULE, _ELLIPSOID),
+            (_CAPSULE, _CYLINDER),
+            (_ELLIPSOID, _ELLIPSOID),
+            (_ELLIPSOID, _CYLINDER),
+            (_CYLINDER, _CYLINDER),
+            (_CYLINDER, _BOX),
+        )
+    },
 }
 # Where a look at whether geoms are near takes as long as to compute the points.
 CHEAP = frozenset({(_PLANE, _SPHERE), (_PLANE, _CAPSULE), (_SPHERE, _SPHERE)})

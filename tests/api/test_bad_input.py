@@ -280,7 +280,6 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "2000 constraint rows",
         ),
         (corridor(walker="fruitfly"), "/environment/options/walker", "dm_control measures it in centimetres"),
-        (corridor(walker="rolling_ball") | {"physics": "compiled"}, "/physics", "a cylinder and a box"),
         (
             corridor(curriculum={"start": {"gap_length": [0, 50]}, "over_steps": 1000}),
             "/environment/options",

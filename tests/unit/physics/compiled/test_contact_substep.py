@@ -61,7 +61,7 @@ def limbs(
     trunk: str = "box",
     tendons: str = "",
 ) -> mujoco.MjModel:
-    # The trunk touches the floor alone: cylinders have no contact with the step's box.
+    # The trunk touches the floor alone: with the step, MuJoCo has other points for cylinders and ellipsoids.
     parts = {"cone": cone, "impratio": impratio, "joint": joint, "geom": geom, "trunk": trunk}
     contact = '<exclude body1="world" body2="trunk"/><pair geom1="floor" geom2="trunk" condim="3"/>'
     xml = LIMBS.replace('type="{trunk}"', 'name="trunk" type="{trunk}"')
