@@ -79,7 +79,7 @@ def _figures(body: str, turn: str, arguments: argparse.Namespace) -> list[Figure
         "num_envs": num_envs,
         "rounds": 2 if arguments.quick else arguments.rounds,
         "round_s": 0.0 if arguments.quick else 0.3,
-        "steps_per_call": 5 if arguments.quick else 20,
+        "steps_per_call": 5 if arguments.quick else (20 if device == "cpu" else 50),
         "limit_s": arguments.limit,
         "turn": turn,
     }

@@ -123,8 +123,10 @@ class _Loop:
 
     def rate(self, steps: int, round_s: float) -> float:
         """Control steps per second of all environments, over calls that take about round_s."""
-        calls = max(1, round(round_s / self._move(steps)))
-        return self._num_envs * steps * calls / self._move(steps, calls)
+        once_s = self._move(steps)
+        calls = round(round_s / once_s)
+        seconds, calls = (self._move(steps, calls), calls) if calls > 1 else (once_s, 1)
+        return self._num_envs * steps * calls / seconds
 
     def sound(self) -> float:
         import numpy as np
