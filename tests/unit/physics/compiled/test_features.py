@@ -17,8 +17,15 @@ from tests.extra import extra
 
 FOLDER = Path(__file__).parent / "features"
 DEFAULT = ("closed_leg", "condim_6", "imu", "servos")
+# With what a feature may be refused; one that is covered by now need not be taken from here at once.
 REFUSED = {
+    "delays": "its actuator number 0 acts with a delay",
+    "height_field": "its geoms 'ground' and number 2 can touch: a hfield and a sphere",
     "mesh_feet": "its geoms 'floor' and number 3 can touch: a plane and a mesh",
+    "mocap": "it has a mocap body",
+    "muscles": "its tendon 'hamstring' is a spatial one",
+    "site_motors": "its actuator number 0 acts on neither a joint nor a tendon",
+    "spatial_tendons": "its tendon 'spring' is a spatial one",
 }
 NAMES = sorted(file.stem for file in FOLDER.iterdir())
 
@@ -28,8 +35,8 @@ def test_a_feature_is_refused_or_moves_as_in_mujoco(name: str) -> None:
     model = mujoco.MjModel.from_xml_path(str(FOLDER / f"{name}.xml"))
     derived = ("sensordata",) if model.nsensor else ()
     reason = uncovered(model) or uncovered_fields(model, derived)
-    assert reason == REFUSED.get(name)
     if reason is not None:
+        assert reason == REFUSED.get(name)
         return
     reference = record(model)
     assert reference is not None
