@@ -42,9 +42,8 @@ _WITHOUT_EFFECT = (
 )
 _ENABLED_WITHOUT_EFFECT = _ENABLE.mjENBL_ENERGY | _ENABLE.mjENBL_FWDINV
 
-
-# Every row is code of its own: with 1,700 rows a body takes a minute and 1.2 GB to compile.
-MOST_ROWS = 2_000
+# Each point has room of some 100 bytes for every environment, on a card for every thread that it can run.
+MOST_POINTS = 2_000
 # By how much a contact may be stiffer than fits what it moves: rounding in single precision (6e-8) is 3e-4 of
 # its force then. A hundred times more, and numbers become NaN.
 _MOST_STIFFNESS = 5000.0
@@ -312,9 +311,9 @@ def _with_article(word: str) -> str:
 
 def _rows(model: mujoco.MjModel) -> Iterator[str]:
     """Last, as it reads the constraints, which other checks must have let pass."""
-    num_rows = read_constraints(model).num_rows
-    if num_rows > MOST_ROWS:
-        yield f"it can have more than {MOST_ROWS} constraint rows at once"
+    num_points = read_constraints(model).num_points
+    if num_points > MOST_POINTS:
+        yield f"its geoms can touch at {num_points:,} points, more than {MOST_POINTS:,}"
 
 
 _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (

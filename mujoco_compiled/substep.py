@@ -166,7 +166,7 @@ def readings_by_sensor(model: Model, moved: Moved) -> Mapping[int, Vector]:
         rows = constraint_rows(
             model.tree, model.constraints, at, moving, ConstraintState(moved.qpos, moved.qvel)
         )
-        counted = numbers_touching(model.contact_sensors, model.constraints.contacts, rows.distances)
+        counted = numbers_touching(model.contact_sensors, model.constraints.contacts, rows)
         pairs = zip(model.contact_sensors, counted, strict=True)
         found |= {one.number: [number] for one, number in pairs}
     return found

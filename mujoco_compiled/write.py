@@ -46,9 +46,10 @@ class Plan:
 
 def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
     """The same for as many lanes as the body has limbs that are alike; for one if it has none."""
-    for limbs in ways_to_share(plan.model):
+    model = read_model(plan.model)
+    for limbs in () if model.constraints.is_in_slots else ways_to_share(plan.model):
         try:
-            alike = alike_inputs(read_model(plan.model), limbs, plan.own)
+            alike = alike_inputs(model, limbs, plan.own)
             return folded(control_step_program(plan, num_substeps, limbs), alike, limbs.num_lanes)
         except NotAlike as error:
             _LOG.info("The body is not shared out to %d lanes: %s.", limbs.num_lanes, error)

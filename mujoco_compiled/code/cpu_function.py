@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from mujoco_compiled.code.arrays import array_sizes
 from mujoco_compiled.code.long_writer import FunctionFrame, write_code
+from mujoco_compiled.code.memory import memory_lines, tables
 from mujoco_compiled.code.writer import Target, Writer
 from mujoco_compiled.program.program import Program
 
@@ -65,16 +66,20 @@ def cpu_function(program: Program, name: str, width: int, section_size: int | No
         f"  %environments = add {lanes} %all, <{order}>",
         f"  %exists = icmp slt {lanes} %environments, %limit",
     ]
-    frame = FunctionFrame(f"ptr %slots, i64 %begin, i64 %end, {arrays}", environments, slots="ptr")
+    memory = memory_lines(program.memory, target)
+    pointers = "ptr %slots, ptr %numbers, ptr %counts"
+    frame = FunctionFrame(f"{pointers}, i64 %begin, i64 %end, {arrays}", environments, slots="ptr")
     code = write_code(program, Writer(target, _CpuRows(sizes), block="group"), frame, section_size)
     return "\n".join(
         [
             *target.declarations(),
             *_declarations(target),
+            *tables(program.memory, target),
             *code.functions,
             f"define void @{name}(i64 %first, i64 %end, {arrays}) {{",
             "entry:",
             *([f"  %slots = alloca {target.number}, i32 {code.num_slots}"] if code.functions else []),
+            *memory,
             "  br label %next",
             "next:",
             f"  %begin = phi i64 [ %first, %entry ], [ %following, %{code.block} ]",
@@ -88,6 +93,7 @@ def cpu_function(program: Program, name: str, width: int, section_size: int | No
             "done:",
             "  ret void",
             "}",
+            "!0 = !{}",
             "",
         ]
     )

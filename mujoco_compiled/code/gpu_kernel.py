@@ -7,6 +7,7 @@ import numpy as np
 
 from mujoco_compiled.code.arrays import array_sizes
 from mujoco_compiled.code.long_writer import FunctionFrame, write_code
+from mujoco_compiled.code.memory import memory_lines, tables
 from mujoco_compiled.code.steps import num_operations
 from mujoco_compiled.code.writer import Barrier, Target, Writer
 from mujoco_compiled.program.program import Program
@@ -14,7 +15,13 @@ from mujoco_compiled.program.program import Program
 TRIPLE = "nvptx64-nvidia-cuda"
 # The threads that a card runs as one.
 WARP = 32
-_ALONE = Target(1, allowed="afn arcp")
+_ALONE = Target(
+    1,
+    allowed="afn arcp",
+    vote="call i1 @llvm.nvvm.vote.any.sync(i32 %members, i1 {})",
+    own="ptr addrspace(5)",
+    shared="ptr addrspace(1)",
+)
 # From about this many operations on, a card waits most of the time for instructions, which its cache cannot
 # hold. Warps that stay together fetch them once: on an H200 the brittle star's kernel is 1.8 times as fast,
 # the corridor's 1.2 times; the ant's, which fits, 0.9 times.
@@ -128,7 +135,8 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
     rows = _GpuRows(sizes, lanes, threads)
     arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in ("count", *sizes))
     environment = _environment(lanes, threads)
-    frame = FunctionFrame(f"{_LOCAL} %slots, {arrays}", environment, slots=_LOCAL)
+    pointers = ", ".join(f"{_LOCAL} %{name}" for name in ("slots", "numbers", "counts"))
+    frame = FunctionFrame(f"{pointers}, {arrays}", environment, slots=_LOCAL)
     warps = most_warps(program, section_size)
     writer = Writer(_TOGETHER if warps > 1 else _ALONE, rows, block="body")
     code = write_code(program, writer, frame, section_size)
@@ -143,10 +151,13 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
             "declare void @llvm.nvvm.barrier.cta.sync.aligned.all(i32)",
             "declare i1 @llvm.nvvm.barrier.cta.red.or.aligned.all(i32, i1)",
             f"declare float @{_SHUFFLE}(i32, float, i32, i32)",
+            "declare i1 @llvm.nvvm.vote.any.sync(i32, i1)",
+            *tables(program.memory, _ALONE),
             *code.functions,
             f"define ptx_kernel void @{name}({arrays}) {attributes} {{",
             "body:",
             *(_slots(code.num_slots) if code.functions else []),
+            *memory_lines(program.memory, _ALONE),
             *environment,
             *code.lines,
             "  ret void",
@@ -189,6 +200,11 @@ def _environment(lanes: int, threads: int) -> list[str]:
         "  %last = sub i32 %environments, 1",
         "  %known = select i1 %exists, i32 %number, i32 %last",
         "  %environment = zext i32 %known to i64",
+        # The threads of the warp: a small block has fewer.
+        f"  %is_full = icmp uge i32 %num_threads, {WARP}",
+        "  %present = shl i32 1, %num_threads",
+        "  %low_ones = sub i32 %present, 1",
+        "  %members = select i1 %is_full, i32 -1, i32 %low_ones",
     ]
 
 

@@ -12,7 +12,18 @@ from dataclasses import dataclass, field, replace
 
 from mujoco_compiled.code.steps import Step, num_operations, results, uses, with_outputs
 from mujoco_compiled.program.flow import needed
-from mujoco_compiled.program.program import Assign, Branch, Loop, Program, Statement, assigns
+from mujoco_compiled.program.program import (
+    Assign,
+    Branch,
+    Each,
+    Loop,
+    Program,
+    Read,
+    Statement,
+    Store,
+    Together,
+    assigns,
+)
 
 # Written again in each section that uses them: loading them from slots would be no cheaper.
 _CONSTANTS = ("constant", "lane_constant")
@@ -87,14 +98,15 @@ def slotted(program: Program, section_size: int) -> SlottedProgram:
 def _all_results(statements: Sequence[Statement]) -> Iterator[list[int]]:
     for one in statements:
         yield results(one)
-        if not isinstance(one, Assign):
+        if not isinstance(one, Assign | Read | Store):
             yield from _all_results(one.body)
 
 
 def _grouped(steps: Sequence[Step]) -> list[list[Step]]:
     """Steps in groups that share a section: a sum, and before it its products that have no other use.
 
-    Parted, they would not be fused, and the numbers would be others than in a program without slots.
+    Parted, they would not be fused, and the numbers would be others than in a program without slots. An
+    integer stays with what uses it: it has no slot.
     """
     blocks, num_uses = _blocks(steps), Counter(one for step in steps for one in uses(step))
     summed = {
@@ -106,7 +118,7 @@ def _grouped(steps: Sequence[Step]) -> list[list[Step]]:
     late, found = dict[int, list[Step]](), list[list[Step]]()
     for step in steps:
         group = [one for variable in uses(step) for one in late.pop(variable, ())] + [step]
-        if (
+        if (isinstance(step, Read) and step.space in ("counts", "integers")) or (
             isinstance(step, Assign)
             and step.operation in _FUSED
             and num_uses[step.target] == 1
@@ -122,7 +134,7 @@ def _blocks(steps: Sequence[Step]) -> dict[int, int]:
     """By variable: how many loops and branches are before it."""
     found, block = dict[int, int](), 0
     for step in steps:
-        if isinstance(step, Loop | Branch):
+        if isinstance(step, Loop | Branch | Each | Together):
             block += 1
         for variable in results(step):
             found[variable] = block

@@ -3,7 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mujoco_compiled.program.program import Assign, Branch, Loop, Program, Statement
+from mujoco_compiled.program.program import (
+    Assign,
+    Branch,
+    Each,
+    Loop,
+    Program,
+    Read,
+    Statement,
+    Store,
+    Together,
+)
 
 
 @dataclass(frozen=True)
@@ -39,13 +49,13 @@ def num_operations(statements: Sequence[Step]) -> int:
 def results(step: Step) -> list[int]:
     """The variables that are known after it."""
     match step:
-        case Assign():
+        case Assign() | Read():
             return [step.target]
-        case Loop():
+        case Loop() | Each():
             return [variable for variable, _, _ in step.carried]
         case Branch():
             return [variable for variable, _, _ in step.results]
-        case Write():
+        case Write() | Store() | Together():
             return []
 
 
@@ -56,6 +66,18 @@ def uses(step: Step) -> Sequence[int]:
             return step.uses
         case Write():
             return [step.variable]
+        case Read():
+            return step.place.variables
+        case Store():
+            value = [step.value] if isinstance(step.value, int) else step.value.variables
+            return [*step.place.variables, *value]
+        case Together():
+            return [step.condition, *_free(step.body, [], known=[])]
+        case Each():
+            before = [one for _, one, _ in step.carried]
+            inside = [one for _, _, one in step.carried]
+            known = [*results(step), step.counter]
+            return [*step.count.variables, *before, *_free(step.body, inside, known=known)]
         case Loop():
             before = [one for _, one, _ in step.carried]
             inside = [one for _, _, one in step.carried]
@@ -75,6 +97,6 @@ def _free(body: Sequence[Statement], after: Sequence[int], known: Sequence[int])
 
 
 def _size(step: Step) -> int:
-    if isinstance(step, Loop | Branch):
+    if isinstance(step, Loop | Branch | Each | Together):
         return num_operations(step.body) + len(results(step))
     return 0 if isinstance(step, Assign) and step.operation == "constant" else 1

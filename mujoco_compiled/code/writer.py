@@ -11,7 +11,17 @@ from typing import Protocol
 import numpy as np
 
 from mujoco_compiled.code.steps import Step, Write, num_operations
-from mujoco_compiled.program.program import Assign, Branch, Loop, Operation
+from mujoco_compiled.program.program import (
+    Assign,
+    Branch,
+    Each,
+    Loop,
+    Operation,
+    Place,
+    Read,
+    Store,
+    Together,
+)
 
 _INSTRUCTIONS: Mapping[Operation, str] = {
     "add": "fadd contract",
@@ -40,12 +50,17 @@ class Target:
     """How a kind of processor takes numbers.
 
     width: environments in a vector; 1: no vector. allowed: what a division and a square root may do besides
-    rounding correctly, in LLVM's words. barrier: None: a thread does not wait for others.
+    rounding correctly, in LLVM's words. barrier: None: a thread does not wait for others. vote: of a truth
+    value, whether it is true in one of the threads that read and write side by side. own, shared: kinds of
+    pointers to what an environment has for itself, and to the model's tables.
     """
 
     width: int
     allowed: str
     barrier: Barrier | None = None
+    vote: str = ""
+    own: str = "ptr"
+    shared: str = "ptr"
 
     @property
     def number(self) -> str:
@@ -142,6 +157,14 @@ class Writer:
                     self.memory.store(self, step.output, step.places, self.operand(step.variable))
                 case Assign():
                     self._assign(step)
+                case Read():
+                    self._read(step)
+                case Store():
+                    self._store(step)
+                case Each():
+                    self._each(step)
+                case Together():
+                    self._together(step)
 
     def _meet_before(self, step: Step) -> None:
         if self.target.barrier is None:
@@ -331,6 +354,101 @@ class Writer:
                 f"[ {found[variable]}, %{self.block} ], [ {self.operand(otherwise)}, %{begun} ]"
             )
         self.block, self._angles = after, known
+
+    def _read(self, read: Read) -> None:
+        target, name, shared = self.target, f"%v{read.target}", self.target.shared
+        place = self._place(read.place)
+        match read.space:
+            case "numbers":
+                pointer = self._pointer(target.number, target.own, "%numbers", place)
+                kind = f"{target.number}, {target.own}"
+                self.line(f"{name} = load {kind} {pointer}, align {4 * target.width}")
+            case "constants":
+                pointer = self._pointer("float", shared, "@table_constants", place)
+                load = f"load float, {shared} {pointer}, align 4, !invariant.load !0"
+                if target.width == 1:
+                    self.line(f"{name} = {load}")
+                else:
+                    first = self.value(
+                        f"insertelement {target.number} poison, float {self.value(load)}, i64 0"
+                    )
+                    self.line(
+                        f"{name} = shufflevector {target.number} {first}, {target.number} poison, "
+                        f"<{target.width} x i32> zeroinitializer"
+                    )
+            case "counts":
+                pointer = self._pointer("i32", target.own, "%counts", place)
+                number = self.value(f"load i32, {target.own} {pointer}, align 4")
+                self.line(f"{name} = zext i32 {number} to i64")
+            case "integers":
+                pointer = self._pointer("i32", shared, "@table_integers", place)
+                number = self.value(f"load i32, {shared} {pointer}, align 4, !invariant.load !0")
+                self.line(f"{name} = sext i32 {number} to i64")
+
+    def _store(self, store: Store) -> None:
+        target, place = self.target, self._place(store.place)
+        if isinstance(store.value, int):
+            pointer = self._pointer(target.number, target.own, "%numbers", place)
+            value = f"{target.number} {self.operand(store.value)}"
+            self.line(f"store {value}, {target.own} {pointer}, align {4 * target.width}")
+        else:
+            pointer = self._pointer("i32", target.own, "%counts", place)
+            number = self.value(f"trunc i64 {self._place(store.value)} to i32")
+            self.line(f"store i32 {number}, {target.own} {pointer}, align 4")
+
+    def _pointer(self, element: str, kind: str, begin: str, place: str) -> str:
+        return self.value(f"getelementptr inbounds {element}, {kind} {begin}, i64 {place}")
+
+    def _place(self, place: Place) -> str:
+        """The integer's name, or the integer itself."""
+        whole = ""
+        for variable, stride in place.terms:
+            term = f"%v{variable}" if stride == 1 else self.value(f"mul nsw i64 %v{variable}, {stride}")
+            whole = self.value(f"add nsw i64 {whole}, {term}") if whole else term
+        if not whole:
+            return str(place.offset)
+        return self.value(f"add nsw i64 {whole}, {place.offset}") if place.offset else whole
+
+    def _each(self, each: Each) -> None:
+        head, inside, after = (self.name()[1:] for _ in range(3))
+        counter, next_count = f"%v{each.counter}", self.name()
+        begun, known, count = self.block, dict(self._angles), self._place(each.count)
+        self._num_alone += 1
+        self.line(f"br label %{head}")
+        self.lines.append(f"{head}:")
+        place = len(self.lines)  # of the phis, which need the last block of the body
+        is_left = self.value(f"icmp slt i64 {counter}, {count}")
+        self.line(f"br i1 {is_left}, label %{inside}, label %{after}")
+        self.lines.append(f"{inside}:")
+        self.block = inside
+        self.write(each.body)
+        self.line(f"{next_count} = add nsw i64 {counter}, 1")
+        self.line(f"br label %{head}")
+        last = self.block
+        self.lines[place:place] = [
+            f"  {counter} = phi i64 [ 0, %{begun} ], [ {next_count}, %{last} ]",
+            *(
+                f"  %v{variable} = phi {self.target.number} "
+                f"[ {self.operand(first)}, %{begun} ], [ {self.operand(value)}, %{last} ]"
+                for variable, first, value in each.carried
+            ),
+        ]
+        self.lines.append(f"{after}:")
+        self.block, self._angles = after, known
+        self._num_alone -= 1
+
+    def _together(self, together: Together) -> None:
+        inside, after = self.name()[1:], self.name()[1:]
+        known, condition = dict(self._angles), self.operand(together.condition)
+        needs = self.value(self.target.vote.format(condition)) if self.target.vote else self.any(condition)
+        self.line(f"br i1 {needs}, label %{inside}, label %{after}")
+        self.lines.append(f"{inside}:")
+        self.block = inside
+        self._num_alone += 1
+        self.write(together.body)
+        self._num_alone -= 1
+        self.begin_block(after)
+        self._angles = known
 
     @property
     def _goes_on_for_others(self) -> bool:

@@ -12,9 +12,11 @@ from mujoco_compiled.program.arithmetic import (
     Number,
     Vector,
     add,
+    dot,
     product,
     rotate,
     rotation_matrix,
+    sqrt,
     transpose,
 )
 from mujoco_compiled.smooth.kinematics import Poses
@@ -27,7 +29,7 @@ AWAY = 1e3
 class Geom:
     """number: MuJoCo's. body: 0 if it never moves. position [3] in m, rotation [3][3]: in the body's frame.
 
-    size: MuJoCo's `geom_size` in m. bound: the radius of a sphere about it, 0 for a plane.
+    size: MuJoCo's `geom_size` in m. bound: the radius of a sphere about it in m, 0 for a plane.
     """
 
     number: int
@@ -36,12 +38,7 @@ class Geom:
     position: Vector
     rotation: Matrix
     size: Vector
-    bound: float
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """Its own: a contact's second shape may be several geoms."""
-        return (self.number,)
+    bound: Number
 
 
 @dataclass(frozen=True)
@@ -125,12 +122,9 @@ def _own_box(fields: Fields, own: OwnBoxes, box: Geom, at_rest: mujoco.MjData) -
     rotation = box.rotation
     if box.number in own.turned and "geom_quat" in fields.own:
         rotation = product(to_world, rotation_matrix(fields.row("geom_quat", box.number)))
-    return replace(
-        box,
-        position=add(_rounded(at_rest.xpos[body]), rotate(to_world, place)),
-        rotation=rotation,
-        size=own_numbers(fields, "geom_size", box.number, own.size),
-    )
+    size = own_numbers(fields, "geom_size", box.number, own.size)
+    position = add(_rounded(at_rest.xpos[body]), rotate(to_world, place))
+    return replace(box, position=position, rotation=rotation, size=size, bound=sqrt(dot(size, size)))
 
 
 def _rounded(values: np.ndarray) -> Vector:

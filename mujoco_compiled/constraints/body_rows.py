@@ -65,9 +65,9 @@ def curvature(tree: Tree, axes: Sequence[Vector], bends: Mapping[int, list[Vecto
     return found
 
 
-def bend(group: BodyGroup, weights: Matrix) -> Vector:
-    """Wᵀ H W of the group's wrenches W: the 21 entries of its lower triangle, row by row."""
-    components = list(zip(*group.wrenches, strict=True))
+def bend(wrenches: Sequence[Vector], weights: Matrix) -> Vector:
+    """Wᵀ H W of wrenches W: the 21 entries of its lower triangle, row by row."""
+    components = list(zip(*wrenches, strict=True))
     products = [[dot(row, component) for row in weights] for component in components]
     return [dot(components[m], products[k]) for k in range(6) for m in range(k + 1)]
 

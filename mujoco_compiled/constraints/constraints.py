@@ -1,7 +1,8 @@
 """The rows of the constraint problem: equalities, friction of joints and tendons, their limits, and contacts.
 
 Every row that the model can ever have is there at all times; where it is not active, its stiffness D is 0.
-So the program's shape does not depend on the state.
+So the program's shape does not depend on the state. Where many geoms can touch, a program has slots for those
+that do (`contact_slots`).
 Source: MuJoCo's documentation, Computation, "Constraint model".
 """
 
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 import mujoco
 
 from mujoco_compiled.constraints.body_rows import BodyGroup
+from mujoco_compiled.constraints.contact_tables import ContactTables
 from mujoco_compiled.constraints.contacts import (
     ContactPair,
     contact_rows,
@@ -27,14 +29,16 @@ from mujoco_compiled.constraints.limits import (
     read_limits,
 )
 from mujoco_compiled.constraints.rows import ConstraintRows, RowGroup
+from mujoco_compiled.constraints.slot_rows import SlotRows
 from mujoco_compiled.constraints.ties import Tie, read_ties, tie_rows
 from mujoco_compiled.fields import NOMINAL, Fields, Own
 from mujoco_compiled.program.arithmetic import Vector
+from mujoco_compiled.program.program import Symbol
 from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
 from mujoco_compiled.smooth.tree import Tree
 
-# With at most this many contacts, skipping does not pay: some environment of a vector nearly always has one.
+# With at most this many contacts, each is written out: loops over tables do not pay.
 _FEW_CONTACTS = 8
 
 
@@ -50,11 +54,14 @@ class Constraints:
     contacts: tuple[ContactPair, ...]
 
     @property
-    def num_rows(self) -> int:
-        """MuJoCo's rows, all of them active."""
-        single = (self.couplings, self.frictions, self.limits, self.ball_limits)
-        several = (*self.ties, *self.contacts)
-        return sum(len(rows) for rows in single) + sum(one.num_rows for one in several)
+    def is_in_slots(self) -> bool:
+        """Whether a program has its contacts in slots."""
+        return len(self.contacts) > _FEW_CONTACTS
+
+    @property
+    def num_points(self) -> int:
+        """Where geoms can touch."""
+        return sum(contact.num_points for contact in self.contacts)
 
 
 @dataclass(frozen=True)
@@ -86,12 +93,11 @@ def constraint_rows(
     tree: Tree, constraints: Constraints, at: Poses, moving: Motion, state: ConstraintState
 ) -> ConstraintRows:
     """All rows in this state, contacts last."""
-    by_body = is_better_by_body(tree, constraints.contacts)
-    skips = len(constraints.contacts) > _FEW_CONTACTS
+    slots = _slots(tree, constraints, at, moving)
+    written_out = constraints.contacts if slots is None else ()
+    by_body = is_better_by_body(tree, written_out)
     touching = [
-        point
-        for contact in constraints.contacts
-        for point in contact_rows(tree, contact, at, moving, by_body=by_body, skips=skips)
+        point for contact in written_out for point in contact_rows(tree, contact, at, moving, by_body=by_body)
     ]
     groups: list[RowGroup | BodyGroup] = [
         *(row for tie in constraints.ties for row in tie_rows(tree, tie, at, moving, state.qvel)),
@@ -101,4 +107,14 @@ def constraint_rows(
         *(ball_limit_row(limit, state.qpos, state.qvel) for limit in constraints.ball_limits),
         *(group for _, group in touching),
     ]
-    return ConstraintRows(groups, tree, moving.axes, [distance for distance, _ in touching])
+    return ConstraintRows(groups, tree, moving.axes, [distance for distance, _ in touching], slots)
+
+
+def _slots(tree: Tree, constraints: Constraints, at: Poses, moving: Motion) -> SlotRows | None:
+    """The contacts in slots, where there are many, and a program is written."""
+    symbol = next((x for axis in moving.axes for x in axis if isinstance(x, Symbol)), None)
+    if symbol is None or not constraints.is_in_slots:
+        return None
+    tables = ContactTables(symbol.program, tree, constraints.contacts)
+    tables.fill(at, moving)
+    return SlotRows(symbol.program, tree, tables, moving.axes)

@@ -1,33 +1,21 @@
-"""The rows of geoms that touch.
+"""Where two geoms touch, and how they push there.
 
 Source: MuJoCo's documentation, Computation, "Constraint model", "Contacts".
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import reduce
+from dataclasses import dataclass
 from itertools import compress
-from operator import and_
 
 import mujoco
 
-from mujoco_compiled.collisions.fixed_boxes import (
-    Choice,
-    Shape,
-    chosen_box,
-    chosen_parameters,
-    merged,
-    near,
-)
-from mujoco_compiled.collisions.own_boxes import own_boxes
-from mujoco_compiled.collisions.shapes import Geom, Placed, Touch, placed, read_geoms
-from mujoco_compiled.collisions.table import CHEAP, COLLIDERS
+from mujoco_compiled.collisions.shapes import Geom, Touch, placed, read_geoms
+from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.constraints.body_rows import BodyGroup
 from mujoco_compiled.constraints.cone import Cone
 from mujoco_compiled.constraints.laws import Law, OneSided, Pyramid
 from mujoco_compiled.constraints.pairs import ContactParameters, Pair, read_pairs
 from mujoco_compiled.constraints.rows import Direction, RowGroup
-from mujoco_compiled.constraints.skipping import groups_where, touches_where
 from mujoco_compiled.constraints.solref import impedance_at, reference_at, stiffness_at
 from mujoco_compiled.fields import Fields
 from mujoco_compiled.program.arithmetic import (
@@ -38,7 +26,6 @@ from mujoco_compiled.program.arithmetic import (
     cross,
     dot,
     maximum,
-    minimum,
     scale,
     select,
     sqrt,
@@ -46,6 +33,7 @@ from mujoco_compiled.program.arithmetic import (
     subtract,
     total,
 )
+from mujoco_compiled.program.memory import Index
 from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
 from mujoco_compiled.smooth.tree import Tree
@@ -53,14 +41,14 @@ from mujoco_compiled.smooth.tree import Tree
 
 @dataclass(frozen=True)
 class ContactPair:
-    """Two geoms that can touch, the second maybe chosen of several that are fixed.
+    """Two geoms that can touch.
 
     inverse_weight: MuJoCo's `body_invweight0` of both bodies, of translations. is_elliptic: the friction
     cone is a cone, not a pyramid. impratio: MuJoCo's.
     """
 
     one: Geom
-    other: Shape
+    other: Geom
     parameters: ContactParameters
     inverse_weight: Number
     is_elliptic: bool
@@ -72,143 +60,28 @@ class ContactPair:
         return self.one.kind, self.other.kind
 
     @property
+    def bodies(self) -> tuple[int, int]:
+        return self.one.body, self.other.body
+
+    @property
+    def num_directions(self) -> int:
+        """The normal, and one for each friction."""
+        return 1 + len(self.parameters.friction)
+
+    @property
     def num_points(self) -> int:
         """Where it may push at once."""
         return COLLIDERS[self.kinds][1]
 
-    @property
-    def num_rows(self) -> int:
-        """Edges of pyramids, or directions of cones."""
-        num_friction = len(self.parameters.friction)
-        at_a_point = 2 * num_friction if num_friction and not self.is_elliptic else 1 + num_friction
-        return self.num_points * at_a_point
-
-
-def read_contacts(fields: Fields) -> tuple[ContactPair, ...]:
-    """All that can touch and move."""
-    model = fields.model
-    geoms = read_geoms(fields)
-    pairs, nominal = read_pairs(fields), [pair.parameters for pair in read_pairs(Fields(model))]
-    moves = [bool(geoms[pair.one].body or geoms[pair.other].body) for pair in pairs]
-    pairs, nominal = list(compress(pairs, moves)), list(compress(nominal, moves))
-    return tuple(
-        ContactPair(
-            one=geoms[pair.one],
-            other=other,
-            parameters=pair.parameters,
-            inverse_weight=_inverse_weight(fields, pair),
-            is_elliptic=model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC,
-            impratio=float(model.opt.impratio),
-        )
-        for pair, other in merged(pairs, nominal, geoms, own_boxes(fields))
-    )
-
-
-def is_better_by_body(tree: Tree, contacts: Sequence[ContactPair]) -> bool:
-    """Whether contacts take fewer operations at each of the solver's iterations as `body_rows` has them."""
-    one_by_one, by_body = 0, 11 * len(tree.entries) + 66 * len(tree.dofs)
-    for contact in contacts:
-        if contact.one.body and contact.other.body:
-            continue
-        size = len(_moved_by(tree, contact.one.body or contact.other.body))
-        # Operations for the curvature, the residual and the forces, with three directions.
-        one_by_one += contact.num_points * (size * (size + 1) // 2 * 5 + size * 23)
-        by_body += contact.num_points * 240
-    return by_body < one_by_one
-
-
-def contact_rows(
-    tree: Tree, contact: ContactPair, at: Poses, moving: Motion, *, by_body: bool, skips: bool
-) -> list[tuple[Number, RowGroup | BodyGroup]]:
-    """For each point of the contact: how far apart the geoms are there, in m, and a group.
-
-    skips: whether to compute nothing that geoms which do not touch have no need of. Their distance then is
-    more than it can be where they touch.
-    """
-    one = placed(contact.one, at)
-    if isinstance(contact.other, Choice):
-        is_near = near(contact.other, one.position)
-        other = chosen_box(contact.other, is_near)
-        contact = replace(contact, parameters=chosen_parameters(contact.other, is_near))
-    else:
-        other = placed(contact.other, at)
-    touches = _touches(contact, one, other, skips=skips)
-    is_single = not (contact.one.body and contact.other.body)
-
-    def groups() -> list[RowGroup | BodyGroup]:
-        return [_group(tree, contact, touch, moving, by_body=by_body and is_single) for touch in touches]
-
-    distances = [touch.distance for touch in touches]
-    if skips:
-        may_push = reduce(minimum, distances) < contact.parameters.margin
-        return list(zip(distances, groups_where(may_push, groups), strict=True))
-    return list(zip(distances, groups(), strict=True))
-
-
-def _touches(contact: ContactPair, one: Placed, other: Placed, *, skips: bool) -> list[Touch]:
-    collide, _ = COLLIDERS[contact.kinds]
-    if not skips or contact.kinds in CHEAP:
-        return collide(one, other)
-    return touches_where(_are_close(contact, one, other), lambda: collide(one, other))
-
-
-def _are_close(contact: ContactPair, one: Placed, other: Placed) -> Number:
-    """Whether the spheres about the geoms are near enough for them to touch."""
-    reach, way = contact.parameters.reach, subtract(one.position, other.position)
-    if contact.other.kind == mujoco.mjtGeom.mjGEOM_BOX and contact.one.kind != mujoco.mjtGeom.mjGEOM_PLANE:
-        sides = zip(other.inward(way), other.size, strict=True)
-        return reduce(and_, (absolute(x) < size + contact.one.bound + reach for x, size in sides))
-    if contact.one.kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        return -dot(one.axis, way) < contact.other.bound + reach
-    return dot(way, way) < squared(contact.one.bound + contact.other.bound + reach)
-
-
-def _group(
-    tree: Tree, contact: ContactPair, touch: Touch, moving: Motion, *, by_body: bool
-) -> RowGroup | BodyGroup:
-    parameters, distance = contact.parameters, touch.distance - contact.parameters.margin
-    axes = _axes(contact, touch)
-    sides = _sides(tree, contact, touch, moving)
-    speeds = [
-        total(dot(axis, side.at_point(moving.velocities[side.body], turns)) for side in sides)
-        for axis, turns in axes
-    ]
-    impedance = impedance_at(parameters.spring.impedance, distance)
-    damping = parameters.friction_damping if contact.is_elliptic else parameters.spring.damping
-    normal = reference_at(parameters.spring, impedance, distance, speeds[0])
-    reference = [normal, *(-damping * speed for speed in speeds[1:])]
-    law = _law(contact, impedance, distance)
-    if by_body:
-        return BodyGroup(sides[0].body, [sides[0].wrench(*axis) for axis in axes], reference, law)
-    return RowGroup([_direction(sides, moving, *axis) for axis in axes], reference, law)
-
-
-def _law(contact: ContactPair, impedance: Number, distance: Number) -> Law:
-    friction, weight = contact.parameters.friction, contact.inverse_weight
-    if not friction:
-        return OneSided(stiffness_at(impedance, weight, distance))
-    # The slope of the cone that `impratio` regularises.
-    slope = friction[0] / contact.impratio**0.5
-    if contact.is_elliptic:
-        return Cone(stiffness_at(impedance, weight, distance), slope, friction)
-    edge = weight * (1.0 + squared(friction[0])) * 2.0 * squared(slope)
-    return Pyramid(stiffness_at(impedance, edge, distance), friction)
-
-
-def _inverse_weight(fields: Fields, pair: Pair) -> Number:
-    bodies = fields.model.geom_bodyid[[pair.one, pair.other]]
-    return total(fields.number("body_invweight0", int(body)) for body in bodies)
-
 
 @dataclass(frozen=True)
-class _Side:
-    """A body that moves. sign: 1 for the second, -1 for the first. arm: [3], from its tree's centre to the
-    point. dofs: those that move this body alone."""
+class Side:
+    """A body that a contact moves, by its number. sign: 1 for the second geom's, -1 for the first's. arm:
+    [3], from its tree's centre to the point."""
 
-    body: int
-    sign: float
+    body: Index
+    sign: Number
     arm: Vector
-    dofs: list[int]
 
     def at_point(self, motion: Vector, turns: bool) -> Vector:
         """How a motion [6] of the body turns it or moves the point, [3]."""
@@ -221,30 +94,88 @@ class _Side:
         return [*force, 0.0, 0.0, 0.0] if turns else [*cross(self.arm, force), *force]
 
 
-def _axes(contact: ContactPair, touch: Touch) -> list[tuple[Vector, bool]]:
+@dataclass(frozen=True)
+class Push:
+    """How a contact pushes at a point. axes: the directions [3], each with whether it turns. reference: by
+    direction, the wanted acceleration."""
+
+    axes: list[tuple[Vector, bool]]
+    reference: Vector
+    law: Law
+
+
+def read_contacts(fields: Fields) -> tuple[ContactPair, ...]:
+    """All that can touch and move."""
+    model = fields.model
+    geoms, pairs = read_geoms(fields), read_pairs(fields)
+    moves = [bool(geoms[pair.one].body or geoms[pair.other].body) for pair in pairs]
+    return tuple(
+        ContactPair(
+            one=geoms[pair.one],
+            other=geoms[pair.other],
+            parameters=pair.parameters,
+            inverse_weight=_inverse_weight(fields, pair),
+            is_elliptic=model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC,
+            impratio=float(model.opt.impratio),
+        )
+        for pair in compress(pairs, moves)
+    )
+
+
+def is_better_by_body(tree: Tree, contacts: Sequence[ContactPair]) -> bool:
+    """Whether contacts take fewer operations at each of the solver's iterations as `body_rows` has them."""
+    one_by_one, by_body = 0, 11 * len(tree.entries) + 66 * len(tree.dofs)
+    for contact in contacts:
+        if contact.one.body and contact.other.body:
+            continue
+        size = len(moved_by(tree, contact.one.body or contact.other.body))
+        # Operations for the curvature, the residual and the forces, with three directions.
+        one_by_one += contact.num_points * (size * (size + 1) // 2 * 5 + size * 23)
+        by_body += contact.num_points * 240
+    return by_body < one_by_one
+
+
+def contact_rows(
+    tree: Tree, contact: ContactPair, at: Poses, moving: Motion, *, by_body: bool
+) -> list[tuple[Number, RowGroup | BodyGroup]]:
+    """For each point of the contact: how far apart the geoms are there, in m, and a group."""
+    collide, _ = COLLIDERS[contact.kinds]
+    touches = collide(placed(contact.one, at), placed(contact.other, at))
+    return [(touch.distance, _group(tree, contact, touch, moving, by_body=by_body)) for touch in touches]
+
+
+def push(contact: ContactPair, touch: Touch, sides: Sequence[tuple[Side, Vector]]) -> Push:
+    """sides: those that move, each with its body's velocity [6]."""
+    parameters, distance = contact.parameters, touch.distance - contact.parameters.margin
+    axes = directions(contact.num_directions, touch)
+    speeds = [
+        total(dot(axis, side.at_point(velocity, turns)) for side, velocity in sides) for axis, turns in axes
+    ]
+    impedance = impedance_at(parameters.spring.impedance, distance)
+    damping = parameters.friction_damping if contact.is_elliptic else parameters.spring.damping
+    normal = reference_at(parameters.spring, impedance, distance, speeds[0])
+    reference = [normal, *(-damping * speed for speed in speeds[1:])]
+    stiffness = stiffness_at(impedance, _row_weight(contact), distance)
+    return Push(axes, reference, law_of(contact, parameters.friction, stiffness))
+
+
+def law_of(contact: ContactPair, friction: Sequence[Number], stiffness: Number) -> Law:
+    """The contact's law, with this friction and stiffness."""
+    if not friction:
+        return OneSided(stiffness)
+    if contact.is_elliptic:
+        return Cone(stiffness, _slope_of_cone(contact, friction), friction)
+    return Pyramid(stiffness, friction)
+
+
+def directions(number: int, touch: Touch) -> list[tuple[Vector, bool]]:
     """The normal, and as many of both tangents, turning about the normal and rolling as there is friction:
     each with whether it turns."""
-    num = 1 + len(contact.parameters.friction)
-    frame = [touch.normal, *(_tangents(touch.normal, touch.along) if num > 1 else ())]
-    return [(axis, turns) for turns in (False, True) for axis in frame][:num]
+    frame = [touch.normal, *(_tangents(touch.normal, touch.along) if number > 1 else ())]
+    return [(axis, turns) for turns in (False, True) for axis in frame][:number]
 
 
-def _sides(tree: Tree, contact: ContactPair, touch: Touch, moving: Motion) -> list[_Side]:
-    bodies = contact.one.body, contact.other.body
-    moves = [_moved_by(tree, body) for body in bodies]
-    found = list[_Side]()
-    for body, own, others, sign in zip(bodies, moves, reversed(moves), (-1.0, 1.0), strict=True):
-        if body:
-            arm = subtract(touch.position, moving.centres[tree.bodies[body].root])
-            found.append(_Side(body, sign, arm, [i for i in own if i not in others]))
-    return found
-
-
-def _direction(sides: Sequence[_Side], moving: Motion, axis: Vector, turns: bool) -> Direction:
-    return {i: dot(axis, side.at_point(moving.axes[i], turns)) for side in sides for i in side.dofs}
-
-
-def _moved_by(tree: Tree, body: int) -> list[int]:
+def moved_by(tree: Tree, body: int) -> list[int]:
     """The degrees of freedom that move the body."""
     while body:
         own = [i for i, dof in enumerate(tree.dofs) if dof.body == body]
@@ -252,6 +183,55 @@ def _moved_by(tree: Tree, body: int) -> list[int]:
             return [*tree.dofs[own[-1]].ancestors, own[-1]]
         body = tree.bodies[body].parent
     return []
+
+
+def moved_apart(tree: Tree, bodies: tuple[int, int]) -> tuple[list[int], list[int]]:
+    """For each of two bodies, the degrees of freedom that move it alone."""
+    one, other = (moved_by(tree, body) for body in bodies)
+    return [i for i in one if i not in other], [i for i in other if i not in one]
+
+
+def _slope_of_cone(contact: ContactPair, friction: Sequence[Number]) -> Number:
+    """The slope of the cone that `impratio` regularises."""
+    return friction[0] / contact.impratio**0.5
+
+
+def _row_weight(contact: ContactPair) -> Number:
+    """The inverse weight by which MuJoCo makes a row stiff."""
+    friction, weight = contact.parameters.friction, contact.inverse_weight
+    if not friction or contact.is_elliptic:
+        return weight
+    return weight * (1.0 + squared(friction[0])) * 2.0 * squared(_slope_of_cone(contact, friction))
+
+
+def _group(
+    tree: Tree, contact: ContactPair, touch: Touch, moving: Motion, *, by_body: bool
+) -> RowGroup | BodyGroup:
+    sides, velocities, dofs = list[Side](), list[Vector](), list[list[int]]()
+    for body, own, sign in zip(contact.bodies, moved_apart(tree, contact.bodies), (-1.0, 1.0), strict=True):
+        if body:
+            arm = subtract(touch.position, moving.centres[tree.bodies[body].root])
+            sides.append(Side(body, sign, arm))
+            velocities.append(moving.velocities[body])
+            dofs.append(own)
+    found = push(contact, touch, list(zip(sides, velocities, strict=True)))
+    if by_body and len(sides) == 1:
+        wrenches = [sides[0].wrench(*axis) for axis in found.axes]
+        return BodyGroup(contact.one.body or contact.other.body, wrenches, found.reference, found.law)
+    rows: list[Direction] = [
+        {
+            i: dot(axis, side.at_point(moving.axes[i], turns))
+            for side, own in zip(sides, dofs, strict=True)
+            for i in own
+        }
+        for axis, turns in found.axes
+    ]
+    return RowGroup(rows, found.reference, found.law)
+
+
+def _inverse_weight(fields: Fields, pair: Pair) -> Number:
+    bodies = fields.model.geom_bodyid[[pair.one, pair.other]]
+    return total(fields.number("body_invweight0", int(body)) for body in bodies)
 
 
 def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:

@@ -8,6 +8,7 @@ A group that pushes in no environment of a vector costs nothing: its numbers are
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 from mujoco_compiled.constraints import body_rows
 from mujoco_compiled.constraints.body_rows import BodyGroup
@@ -16,6 +17,9 @@ from mujoco_compiled.program.arithmetic import Number, Vector, dot, scale, total
 from mujoco_compiled.program.flow import nothing, where_needed
 from mujoco_compiled.smooth.dynamics import Entries
 from mujoco_compiled.smooth.tree import Tree
+
+if TYPE_CHECKING:
+    from mujoco_compiled.constraints.slot_rows import SlotRows
 
 # How a motion of each degree of freedom that matters moves along it.
 Direction = dict[int, Number]
@@ -42,12 +46,13 @@ class RowGroup:
 @dataclass(frozen=True)
 class ConstraintRows:
     """axes: by degree of freedom, [6], in this state; see `Motion`. distances: in m, between geoms at each of
-    the points where they can touch, of which the last groups are."""
+    the points where they can touch, of which the last groups are. slots: the contacts, if they have some."""
 
     groups: Sequence[RowGroup | BodyGroup]
     tree: Tree
     axes: Sequence[Vector]
     distances: Sequence[Number]
+    slots: "SlotRows | None" = None
 
 
 def times(rows: ConstraintRows, vector: Vector) -> Vector:
@@ -231,7 +236,7 @@ def _on_dofs(group: RowGroup, forces: Vector) -> Vector:
 
 
 def _bend(group: BodyGroup, residual: Vector) -> Vector:
-    return body_rows.bend(group, group.law.weights(residual))
+    return body_rows.bend(group.wrenches, group.law.weights(residual))
 
 
 def _entries(group: RowGroup, residual: Vector) -> Vector:

@@ -21,6 +21,7 @@ from mujoco_compiled.program.arithmetic import (
     Number,
     Vector,
     absolute,
+    add,
     dot,
     maximum,
     select,
@@ -78,6 +79,8 @@ def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Ve
             for one in fields(_Guess)
         )
     )
+    if problem.rows.slots:
+        problem.rows.slots.begin(start.acceleration)
     scale = 1.0 / (settings.mean_inertia * max(1, len(tree.dofs)))
 
     def iterate(carried: list[Number]) -> tuple[list[Number], Number]:
@@ -94,8 +97,14 @@ def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Ve
 def _newton_direction(problem: SolverProblem, guess: _Guess) -> tuple[Vector, Vector]:
     """-H⁻¹ g, and the gradient g: [nv] each."""
     pull = pulled_back(problem.rows, forces(problem.rows, guess.residual), len(problem.force))
+    bend = curvature(problem.rows, guess.residual)
+    if problem.rows.slots:
+        of_contacts, bends = problem.rows.slots.newton(len(problem.force))
+        pull = add(pull, of_contacts)
+        for place, terms in bends.items():
+            bend.setdefault(place, []).extend(terms)
     gradient = [x - y - z for x, y, z in zip(guess.inertial, problem.force, pull, strict=True)]
-    hessian = added(problem.mass, curvature(problem.rows, guess.residual))
+    hessian = added(problem.mass, bend)
     step = solve(problem.tree, factorize(problem.tree, hessian), gradient)
     return [-x for x in step], gradient
 
@@ -112,11 +121,15 @@ def _line_search(
     rates = times(problem.rows, direction)
     linear = total(x * (y - z) for x, y, z in zip(direction, guess.inertial, problem.force, strict=True))
     quadratic = 0.5 * dot(direction, inertial)
-    bend = slope(problem.rows, guess.residual, rates)
+    bend, slots = slope(problem.rows, guess.residual, rates), problem.rows.slots
+    if slots:
+        slots.set_rates(direction)
 
     def at(step: Number) -> tuple[Number, Number]:
         """The cost's first and second derivative."""
         first, second = bend(step)
+        if slots:
+            first, second = add([first, second], [*slots.slope(step)])
         return linear + 2.0 * quadratic * step + first, 2.0 * quadratic + second
 
     accuracy = settings.tolerance * settings.line_search_tolerance * sqrt(dot(direction, direction)) / scale
@@ -144,6 +157,8 @@ def _line_search(
         [x + step * y for x, y in zip(guess.residual, rates, strict=True)],
     )
     fallen = cost_decrease(problem.rows, guess.residual, moved.residual)
+    if slots:
+        fallen = fallen + slots.advance(step)
     gain = fallen - step * (linear + step * quadratic)
     return moved, gain
 
@@ -162,7 +177,8 @@ def _cost(problem: SolverProblem, guess: _Guess) -> Number:
         (x - y) * (a - b)
         for x, y, a, b in zip(guess.inertial, problem.force, guess.acceleration, problem.free, strict=True)
     )
-    return 0.5 * apart + cost(problem.rows, guess.residual)
+    of_contacts = problem.rows.slots.cost(guess.acceleration) if problem.rows.slots else 0.0
+    return 0.5 * apart + cost(problem.rows, guess.residual) + of_contacts
 
 
 def _packed(guess: _Guess) -> list[Number]:

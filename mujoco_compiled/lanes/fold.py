@@ -75,7 +75,7 @@ class _Fold:
                 for variable in (one.condition, *(x for _, *both in one.results for x in both)):
                     self.uses.setdefault(variable, []).append(None)
                 self._note_uses(one.body)
-            else:
+            elif isinstance(one, Assign):
                 for variable in one.uses:
                     self.uses.setdefault(variable, []).append(one)
 
@@ -86,6 +86,8 @@ class _Fold:
                 self._take_loop(one)
             elif isinstance(one, Branch):
                 self._take_branch(one)
+            elif not isinstance(one, Assign):
+                raise AssertionError("A program with contacts in slots is not shared out to lanes.")
             elif one.operation in _GIVEN:
                 self._take_given(one)
             else:

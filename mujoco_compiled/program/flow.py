@@ -2,11 +2,25 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from mujoco_compiled.program.arithmetic import Number, Vector, select
-from mujoco_compiled.program.program import Assign, Branch, Loop, Program, Statement, Symbol
+from mujoco_compiled.program.program import (
+    Assign,
+    Branch,
+    Each,
+    Loop,
+    Program,
+    Read,
+    Statement,
+    Store,
+    Symbol,
+    Together,
+)
+
+_Repeated = TypeVar("_Repeated", Loop, Each)
 
 
 def repeat(
@@ -58,20 +72,46 @@ def needed(program: Program) -> Program:
 
 
 def _kept(statements: Sequence[Statement], wanted: set[int]) -> list[Statement]:
-    """The statements that compute what is wanted. wanted: grows by what they need themselves."""
+    """The statements that compute what is wanted, and all that store. wanted: grows by what they need."""
     found = list[Statement]()
     for one in reversed(statements):
-        if isinstance(one, Assign):
-            # Inputs stay, for the order of the code's arrays.
-            if one.target in wanted or one.operation in ("input", "lane_input"):
-                found.append(one)
+        if not _is_needed(one, wanted):
+            continue
+        match one:
+            case Assign():
                 wanted.update(one.uses)
-        elif isinstance(one, Branch):
-            if any(variable in wanted for variable, _, _ in one.results):
-                found.append(_kept_branch(one, wanted))
-        elif any(variable in wanted for variable, _, _ in one.carried):
-            found.append(_kept_loop(one, wanted))
+            case Read():
+                wanted.update(one.place.variables)
+            case Store():
+                wanted.update(one.place.variables)
+                wanted.update([one.value] if isinstance(one.value, int) else one.value.variables)
+            case Together():
+                one = replace(one, body=tuple(_kept(one.body, wanted)))
+                wanted.add(one.condition)
+            case Branch():
+                one = _kept_branch(one, wanted)
+            case Loop():
+                one = _kept_loop(one, wanted)
+            case Each():
+                one = _kept_loop(one, wanted)
+                wanted.update(one.count.variables)
+        found.append(one)
     return found[::-1]
+
+
+def _is_needed(one: Statement, wanted: set[int]) -> bool:
+    """Whether it computes what is wanted, or stores. Inputs stay, for the order of the code's arrays."""
+    match one:
+        case Assign():
+            return one.target in wanted or one.operation in ("input", "lane_input")
+        case Read():
+            return one.target in wanted
+        case Branch():
+            return any(variable in wanted for variable, _, _ in one.results)
+        case Loop():
+            return any(variable in wanted for variable, _, _ in one.carried)
+        case Store() | Each() | Together():
+            return True
 
 
 def _kept_branch(branch: Branch, wanted: set[int]) -> Branch:
@@ -82,18 +122,19 @@ def _kept_branch(branch: Branch, wanted: set[int]) -> Branch:
     return replace(branch, results=results, body=tuple(body))
 
 
-def _kept_loop(loop: Loop, wanted: set[int]) -> Loop:
-    carried, inside, body = (), set[int](), list[Statement]()
+def _kept_loop(loop: _Repeated, wanted: set[int]) -> _Repeated:
+    carried, inside, body = list[tuple[int, int, int]](), set[int](), list[Statement]()
+    is_known = False
     while True:
         # A variable that is needed inside is carried, too.
-        now = tuple(entry for entry in loop.carried if entry[0] in wanted or entry[0] in inside)
-        if now == carried:
+        now = [entry for entry in loop.carried if entry[0] in wanted or entry[0] in inside]
+        if is_known and now == carried:
             break
-        carried = now
+        carried, is_known = now, True
         inside = {after for _, _, after in carried}
-        if loop.improves is not None:
+        if isinstance(loop, Loop) and loop.improves is not None:
             inside.add(loop.improves)
         body = _kept(loop.body, inside)
     wanted.update(inside)
     wanted.update(before for _, before, _ in carried)
-    return replace(loop, carried=carried, body=tuple(body))
+    return replace(loop, carried=tuple(carried), body=tuple(body))

@@ -1,12 +1,26 @@
 """Runs a program with NumPy, one operation after another: slow, and the measure of all code that is made."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mujoco_compiled.program.program import Assign, Branch, Loop, Operation, Program, Statement
+from mujoco_compiled.program.program import (
+    Assign,
+    Branch,
+    Each,
+    Loop,
+    Memory,
+    Operation,
+    Place,
+    Program,
+    Read,
+    Statement,
+    Store,
+    Together,
+)
 
 # By variable: a number, among other arguments of an operation.
 Values = dict[int | float | str, NDArray[Any]]
@@ -38,8 +52,7 @@ def interpret(
     Where the lanes of a folded program differ, a number is an array [lanes, environments] inside.
     """
     dtype = next(iter(inputs.values()))[0].dtype
-    values = Values()
-    _run(program.statements, values, inputs, dtype)
+    values = _Interpreter(inputs, dtype, program.memory).run(program.statements)
     found = dict[str, list[NDArray[np.floating]]]()
     for name, outputs in program.outputs.items():
         by_place = dict[int, NDArray[np.floating]]()
@@ -51,79 +64,122 @@ def interpret(
     return found
 
 
-def _run(
-    statements: Sequence[Statement],
-    values: Values,
-    inputs: Mapping[str, Sequence[NDArray[np.floating]]],
-    dtype: np.dtype[np.floating],
-) -> None:
-    for statement in statements:
-        # Nearly all statements: looking for all else first would take most of the time.
-        if isinstance(statement, Assign):
-            if function := _FUNCTIONS.get(statement.operation):
-                values[statement.target] = function(*[values[number] for number in statement.arguments])
+@dataclass
+class _Interpreter:
+    """memory: of the program. numbers, counts: what lies in these spaces, by place. integers: by variable."""
+
+    inputs: Mapping[str, Sequence[NDArray[np.floating]]]
+    dtype: np.dtype[np.floating]
+    memory: Memory
+    values: Values = field(default_factory=Values)
+    integers: dict[int, int] = field(default_factory=dict[int, int])
+    numbers: dict[int, NDArray[Any]] = field(default_factory=dict[int, NDArray[Any]])
+    counts: dict[int, int] = field(default_factory=dict[int, int])
+
+    def run(self, statements: Sequence[Statement]) -> Values:
+        values = self.values
+        for statement in statements:
+            # Nearly all statements: looking for all else first would take most of the time.
+            if isinstance(statement, Assign):
+                if function := _FUNCTIONS.get(statement.operation):
+                    values[statement.target] = function(*[values[number] for number in statement.arguments])
+                else:
+                    values[statement.target] = self._given(statement)
             else:
-                values[statement.target] = _given(statement, values, inputs, dtype)
-        elif isinstance(statement, Loop):
-            _repeat(statement, values, inputs, dtype)
+                self._other(statement)
+        return values
+
+    def _other(self, statement: Statement) -> None:
+        match statement:
+            case Loop():
+                self._repeat(statement)
+            case Branch():
+                self._choose(statement)
+            case Read():
+                self._read(statement)
+            case Store():
+                self._store(statement)
+            case Each():
+                self._each(statement)
+            case Together():
+                if np.any(self.values[statement.condition]):
+                    self.run(statement.body)
+            case Assign():
+                raise AssertionError(statement)
+
+    def _given(self, one: Assign) -> NDArray[Any]:
+        """A number that is given, or the sum of one over the lanes."""
+        match one:
+            case Assign(operation="input", arguments=(str(name), int(place))):
+                return self.inputs[name][place]
+            case Assign(operation="constant", arguments=(value,)):
+                return np.asarray(value, self.dtype)
+            case Assign(operation="limb_constant", arguments=(int(lane), *of_lanes)):
+                return np.asarray(of_lanes[lane], self.dtype)
+            case Assign(operation="lane_constant", arguments=of_lanes):
+                return np.asarray(of_lanes, self.dtype)[:, None]
+            case Assign(operation="lane_input", arguments=(str(name), *places)):
+                return np.stack([self.inputs[name][int(place)] for place in places])
+            case Assign(operation="lane_sum", arguments=(number,)):
+                return np.sum(self.values[int(number)], axis=0)
+            case _:
+                raise AssertionError(one)
+
+    def _repeat(self, loop: Loop) -> None:
+        """An environment that need not go on keeps the numbers that it has."""
+        values = self.values
+        for variable, before, _ in loop.carried:
+            values[variable] = values[before]
+        running: NDArray[Any] = np.asarray(True)
+        for _ in range(loop.most):
+            if not running.any():
+                break
+            self.run(loop.body)
+            after = [
+                np.where(running, values[after], values[variable]) for variable, _, after in loop.carried
+            ]
+            if loop.improves is not None:
+                running = running & values[loop.improves]
+            for (variable, _, _), value in zip(loop.carried, after, strict=True):
+                values[variable] = value
+
+    def _choose(self, branch: Branch) -> None:
+        values = self.values
+        condition = values[branch.condition]
+        if condition.any():
+            self.run(branch.body)
+        for variable, inside, otherwise in branch.results:
+            chosen = values[inside] if condition.any() else values[otherwise]
+            values[variable] = np.where(condition, chosen, values[otherwise])
+
+    def _each(self, each: Each) -> None:
+        values = self.values
+        for variable, before, _ in each.carried:
+            values[variable] = values[before]
+        for number in range(self._integer(each.count)):
+            self.integers[each.counter] = number
+            self.run(each.body)
+            after = [values[after] for _, _, after in each.carried]
+            values.update(zip((variable for variable, _, _ in each.carried), after, strict=True))
+
+    def _read(self, read: Read) -> None:
+        place = self._integer(read.place)
+        match read.space:
+            case "numbers":
+                self.values[read.target] = self.numbers[place]
+            case "constants":
+                self.values[read.target] = np.asarray(self.memory.constants[place], self.dtype)
+            case "counts":
+                self.integers[read.target] = self.counts[place]
+            case "integers":
+                self.integers[read.target] = self.memory.integers[place]
+
+    def _store(self, store: Store) -> None:
+        place = self._integer(store.place)
+        if isinstance(store.value, int):
+            self.numbers[place] = self.values[store.value]
         else:
-            _choose(statement, values, inputs, dtype)
+            self.counts[place] = self._integer(store.value)
 
-
-def _given(
-    one: Assign,
-    values: Values,
-    inputs: Mapping[str, Sequence[NDArray[np.floating]]],
-    dtype: np.dtype[np.floating],
-) -> NDArray[Any]:
-    """A number that is given, or the sum of one over the lanes."""
-    match one:
-        case Assign(operation="input", arguments=(str(name), int(place))):
-            return inputs[name][place]
-        case Assign(operation="constant", arguments=(value,)):
-            return np.asarray(value, dtype)
-        case Assign(operation="limb_constant", arguments=(int(lane), *of_lanes)):
-            return np.asarray(of_lanes[lane], dtype)
-        case Assign(operation="lane_constant", arguments=of_lanes):
-            return np.asarray(of_lanes, dtype)[:, None]
-        case Assign(operation="lane_input", arguments=(str(name), *places)):
-            return np.stack([inputs[name][int(place)] for place in places])
-        case Assign(operation="lane_sum", arguments=(number,)):
-            return np.sum(values[int(number)], axis=0)
-        case _:
-            raise AssertionError(one)
-
-
-def _repeat(
-    loop: Loop,
-    values: Values,
-    inputs: Mapping[str, Sequence[NDArray[np.floating]]],
-    dtype: np.dtype[np.floating],
-) -> None:
-    """An environment that need not go on keeps the numbers that it has."""
-    for variable, before, _ in loop.carried:
-        values[variable] = values[before]
-    running: NDArray[Any] = np.asarray(True)
-    for _ in range(loop.most):
-        if not running.any():
-            break
-        _run(loop.body, values, inputs, dtype)
-        after = [np.where(running, values[after], values[variable]) for variable, _, after in loop.carried]
-        if loop.improves is not None:
-            running = running & values[loop.improves]
-        for (variable, _, _), value in zip(loop.carried, after, strict=True):
-            values[variable] = value
-
-
-def _choose(
-    branch: Branch,
-    values: Values,
-    inputs: Mapping[str, Sequence[NDArray[np.floating]]],
-    dtype: np.dtype[np.floating],
-) -> None:
-    condition = values[branch.condition]
-    if condition.any():
-        _run(branch.body, values, inputs, dtype)
-    for variable, inside, otherwise in branch.results:
-        chosen = values[inside] if condition.any() else values[otherwise]
-        values[variable] = np.where(condition, chosen, values[otherwise])
+    def _integer(self, place: Place) -> int:
+        return place.offset + sum(stride * self.integers[one] for one, stride in place.terms)

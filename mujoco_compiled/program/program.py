@@ -66,7 +66,71 @@ class Branch:
     results: tuple[tuple[int, int, int], ...]
 
 
-Statement = Assign | Loop | Branch
+# Where numbers lie: `numbers` and `counts` can be written, the others are the model's. An environment has its
+# own `numbers`; an integer of `counts` is one for all environments that are computed together.
+Space = Literal["numbers", "counts", "constants", "integers"]
+
+
+@dataclass(frozen=True)
+class Place:
+    """An integer: `offset`, and the sum of strides times variables that hold integers, (variable, stride)."""
+
+    offset: int = 0
+    terms: tuple[tuple[int, int], ...] = ()
+
+    def __add__(self, other: "Place | int") -> "Place":
+        if isinstance(other, int):
+            return Place(self.offset + other, self.terms)
+        return Place(self.offset + other.offset, self.terms + other.terms)
+
+    def __mul__(self, factor: int) -> "Place":
+        return Place(self.offset * factor, tuple((one, stride * factor) for one, stride in self.terms))
+
+    @property
+    def variables(self) -> list[int]:
+        return [one for one, _ in self.terms]
+
+
+@dataclass(frozen=True)
+class Read:
+    """Variable `target` is what lies at a place."""
+
+    target: int
+    space: Space
+    place: Place
+
+
+@dataclass(frozen=True)
+class Store:
+    """Puts a variable, or an integer, to a place in `numbers` or in `counts`."""
+
+    space: Space
+    place: Place
+    value: "int | Place"
+
+
+@dataclass(frozen=True)
+class Each:
+    """Computes `body` for each value of the integer variable `counter` from 0 to `count` - 1.
+
+    carried: see Loop. All environments that are computed together go through it as often.
+    """
+
+    count: Place
+    counter: int
+    carried: tuple[tuple[int, int, int], ...]
+    body: tuple["Statement", ...]
+
+
+@dataclass(frozen=True)
+class Together:
+    """Computes `body` for all environments that are computed together if `condition` is true in one."""
+
+    condition: int
+    body: tuple["Statement", ...]
+
+
+Statement = Assign | Loop | Branch | Read | Store | Each | Together
 
 
 @dataclass(frozen=True)
@@ -78,12 +142,25 @@ class Output:
 
 
 @dataclass
+class Memory:
+    """num_numbers, num_counts: how much of these spaces there is. arrays: where they begin, by name.
+    constants, integers: what lies in these spaces."""
+
+    num_numbers: int = 0
+    num_counts: int = 0
+    arrays: dict[str, int] = field(default_factory=dict[str, int])
+    constants: list[float] = field(default_factory=list[float])
+    integers: list[int] = field(default_factory=list[int])
+
+
+@dataclass
 class Program:
     """statements: of the open block. outputs: by name, in the order of their places."""
 
     statements: list[Statement] = field(default_factory=list[Statement])
     outputs: dict[str, list[Output]] = field(default_factory=dict[str, list[Output]])
     num_lanes: int = 1
+    memory: "Memory" = field(default_factory=lambda: Memory())
     _known: dict[tuple[object, ...], int] = field(default_factory=dict[tuple[object, ...], int])
     _order: list[tuple[object, ...]] = field(default_factory=list[tuple[object, ...]])  # of what is known
     _num_variables: int = 0
@@ -103,6 +180,14 @@ class Program:
             self._order.append(key)
             self.statements.append(Assign(self._known[key], operation, arguments))
         return Symbol(self, self._known[key])
+
+    def known(self, key: tuple[object, ...], make: Callable[[int], Statement]) -> int:
+        """The variable under a key, which a statement computes unless it is there already."""
+        if key not in self._known:
+            self._known[key] = self.new_variable()
+            self._order.append(key)
+            self.statements.append(make(self._known[key]))
+        return self._known[key]
 
     def variable(self, value: "Symbol | float") -> int:
         """The variable that holds the value."""
@@ -269,7 +354,7 @@ def assigns(statements: Sequence[Statement]) -> Iterator[Assign]:
     for one in statements:
         if isinstance(one, Assign):
             yield one
-        else:
+        elif not isinstance(one, Read | Store):
             yield from assigns(one.body)
 
 

@@ -48,6 +48,8 @@ def normal_forces(
     acceleration: Vector,
 ) -> Vector:
     """By sensor that sums them, under this acceleration [nv]. rows: those of the contacts last."""
+    if rows.slots:
+        return rows.slots.normal_forces(acceleration, [sensor.contacts for sensor in sensors])
     first = len(rows.groups) - len(rows.distances)
     places = _places(contacts)
     pushing = {place for one in sensors for i in one.contacts for place in places[i]}
@@ -64,10 +66,12 @@ def normal_forces(
 
 
 def numbers_touching(
-    sensors: Sequence[ContactSensor], contacts: Sequence[ContactPair], distances: Sequence[Number]
+    sensors: Sequence[ContactSensor], contacts: Sequence[ContactPair], rows: ConstraintRows
 ) -> Vector:
-    """By sensor that counts: at how many points the geoms touch. distances: of all contacts' points."""
-    places = _places(contacts)
+    """By sensor that counts: at how many points the geoms touch."""
+    if rows.slots:
+        return rows.slots.numbers_touching([sensor.contacts for sensor in sensors])
+    places, distances = _places(contacts), rows.distances
 
     def number(sensor: ContactSensor) -> Number:
         near = ((contacts[i].parameters.reach, place) for i in sensor.contacts for place in places[i])
@@ -119,7 +123,7 @@ def _axis(quaternion: np.ndarray) -> np.ndarray:
 
 def _reads(model: mujoco.MjModel, sensor: int, contact: ContactPair) -> bool:
     number, other = int(model.sensor_objid[sensor]), int(model.sensor_refid[sensor])
-    geoms = [contact.one.number, *contact.other.numbers]
+    geoms = [contact.one.number, contact.other.number]
     if model.sensor_type[sensor] == _TOUCH:
         return bool((model.geom_bodyid[geoms] == model.site_bodyid[number]).any())
     return number in geoms and (other < 0 or (other in geoms and other != number))

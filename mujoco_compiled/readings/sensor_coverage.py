@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from mujoco_compiled.constraints.constraints import read_constraints
 from mujoco_compiled.constraints.pairs import read_pairs
 from mujoco_compiled.fields import Fields
 from mujoco_compiled.named import named, word
@@ -46,12 +45,6 @@ def _unread_contacts(model: mujoco.MjModel, sensor: int) -> str | None:
         return "is about contacts of other things than geoms"
     if list(model.sensor_intprm[sensor, :2]) != [1, 0] or model.sensor_dim[sensor] != 1:
         return "reads other data of contacts than their number"
-    contacts = read_constraints(model).contacts
-    for one in (number, int(model.sensor_refid[sensor])):
-        if any(one in contact.other.numbers and len(contact.other.numbers) > 1 for contact in contacts):
-            return (
-                f"is about one of several fixed boxes that share their contacts, {named(model, 'geom', one)}"
-            )
     return None
 
 

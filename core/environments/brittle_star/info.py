@@ -15,7 +15,7 @@ from core.environments.brittle_star.options import (
     observed,
 )
 from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews, Slice, Spaces, in_order, named
-from core.physics.availability import EngineName, Rule, beyond_compiled
+from core.physics.availability import EngineName, Rule
 
 # biorobot's joints: half ranges in the plane and out of it.
 _RANGES_RAD = (pi / 4, pi / 6)
@@ -101,8 +101,6 @@ def _of_a_generator(options: Options) -> Iterator[Slice]:
     yield named("frequency", ("all oscillators",), "rad/s", 0.0, cpg.max_frequency)
 
 
-# `mujoco_compiled.coverage.MOST_ROWS`, which cannot be imported without MuJoCo.
-_MOST_ROWS = 2_000
 # MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
 _MAX_SEGMENTS_ON_MJX = 50
 _ON_A_CPU = (
@@ -176,8 +174,6 @@ def _finite(options: Options) -> FiniteViews:
 
 def _cannot_run(options: Options) -> Mapping[EngineName, str]:
     cannot: dict[EngineName, str] = {}
-    if reason := _beyond_compiled(options):
-        cannot["compiled"] = beyond_compiled(reason)
     num_segments = sum(options.segments)
     if num_segments > _MAX_SEGMENTS_ON_MJX:
         cannot["mjx"] = (
@@ -185,16 +181,6 @@ def _cannot_run(options: Options) -> Mapping[EngineName, str]:
             f"{_MAX_SEGMENTS_ON_MJX}. Choose native or warp, or fewer segments."
         )
     return cannot
-
-
-def _beyond_compiled(options: Options) -> str | None:
-    """The reason why the engine `compiled` cannot run it."""
-    num_segments = sum(options.segments)
-    # Rows of the disk, of each segment's limits and points, and of their contacts with the walls.
-    rows = 26 + 14 * num_segments + (94 + 48 * num_segments if options.walls == "contacts" else 0)
-    if rows > _MOST_ROWS:
-        return f"it can have more than {_MOST_ROWS} constraint rows at once"
-    return None
 
 
 def _row(id: str, task: str, description: str, options: type[Options]) -> EnvironmentInfo:

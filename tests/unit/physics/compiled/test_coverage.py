@@ -4,7 +4,7 @@ import mujoco
 import pytest
 
 from core.physics.model import brax_model
-from mujoco_compiled.coverage import MOST_ROWS, uncovered
+from mujoco_compiled.coverage import MOST_POINTS, uncovered
 
 BODY = """
 <mujoco>
@@ -91,11 +91,11 @@ def test_contacts_of_a_body_that_turns_about_its_centre_are_named(offset: float,
     assert ("'paddle' can touch, but turn about the centres" in (reason or "")) == is_refused
 
 
-def test_more_rows_than_code_can_hold_are_refused() -> None:
-    balls = "".join(f'<geom size="0.1" pos="{k} 0 0" condim="6"/>' for k in range(240))
+def test_more_points_than_there_is_room_for_are_refused() -> None:
+    balls = "".join(f'<geom size="0.1" pos="{k} 0 0" condim="6"/>' for k in range(2_001))
     model = mujoco.MjModel.from_xml_string(f"""
       <mujoco><worldbody><geom type="plane" size="5 5 1"/>
         <body><freejoint/>{balls}</body>
       </worldbody></mujoco>
     """)
-    assert f"more than {MOST_ROWS}" in (uncovered(model) or "")
+    assert f"more than {MOST_POINTS:,}" in (uncovered(model) or "")

@@ -1,0 +1,238 @@
+"""Finds where geoms touch, by loops over tables of pairs, and fills the slots of `contact_slots`."""
+
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import replace
+from functools import reduce
+from operator import and_
+from typing import Any
+
+import mujoco
+
+from mujoco_compiled.collisions.shapes import Placed, Touch
+from mujoco_compiled.collisions.table import COLLIDERS
+from mujoco_compiled.constraints.contact_slots import Slot, SlotKind
+from mujoco_compiled.constraints.contacts import ContactPair, Side, push
+from mujoco_compiled.constraints.pairs import ContactParameters
+from mujoco_compiled.program.arithmetic import (
+    Matrix,
+    Number,
+    Vector,
+    absolute,
+    add,
+    dot,
+    product,
+    rotate,
+    squared,
+    subtract,
+)
+from mujoco_compiled.program.memory import array, column, for_each, integers, where_any
+from mujoco_compiled.program.program import Place, Program
+from mujoco_compiled.smooth.dynamics import Motion
+from mujoco_compiled.smooth.kinematics import Poses
+from mujoco_compiled.smooth.tree import Tree
+
+_PLANE, _BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
+_UNTURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+
+class ContactTables:
+    """The contacts of a model as tables of a program. kinds: of slots."""
+
+    def __init__(self, program: Program, tree: Tree, contacts: Sequence[ContactPair]) -> None:
+        self._program, self._tree = program, tree
+        self._geoms = _GeomTable(program, contacts)
+        places = {id(contact): place for place, contact in enumerate(contacts)}
+        groups = [_joined(_alike(own, _looks_of_loops)) for own in _alike(contacts, _looks_of_slots)]
+        self.kinds = [
+            SlotKind(program, f"contacts {number}", own, [places[id(contact)] for contact in own])
+            for number, own in enumerate(groups)
+        ]
+        self._loops = [
+            _Loop(kind, number, own, self._geoms)
+            for kind in self.kinds
+            for number, own in enumerate(_alike(kind.contacts, _looks_of_loops))
+        ]
+        self.moved = sorted({body for contact in contacts for body in contact.bodies if body})
+        self._velocities = array(program, "velocities", len(tree.bodies), 6)
+        self._centres = array(program, "centres", len(tree.bodies), 3)
+
+    def fill(self, at: Poses, moving: Motion) -> None:
+        """Puts the points that touch in this state to slots."""
+        for body in self.moved:
+            self._velocities.store(body, moving.velocities[body])
+            self._centres.store(body, moving.centres[self._tree.bodies[body].root])
+        self._geoms.place(at)
+        for kind in self.kinds:
+            kind.slots.clear()
+        for loop in self._loops:
+            for_each(self._program, len(loop.contacts), lambda row, _, loop=loop: self._look(loop, row))
+
+    def _look(self, loop: "_Loop", row: Place) -> Vector:
+        where_any(loop.are_close(row), lambda: self._touch(loop, row))
+        return []
+
+    def _touch(self, loop: "_Loop", row: Place) -> None:
+        collide, _ = COLLIDERS[loop.first.kinds]
+        contact = loop.contact(row)
+        for touch in collide(*(geom(row) for geom in loop.geoms)):
+            self._put(loop, row, contact, touch)
+
+    def _put(self, loop: "_Loop", row: Place, contact: ContactPair, touch: Touch) -> None:
+        """The point to a slot, where it touches."""
+        touches = touch.distance < contact.parameters.reach
+        where_any(touches, lambda: self._fill(loop, row, contact, touch))
+
+    def _fill(self, loop: "_Loop", row: Place, contact: ContactPair, touch: Touch) -> None:
+        kind, place = loop.kind, row + loop.begin
+        slot = Slot(kind, kind.slots.append(place))
+        bodies = [own.at(place) for own in kind.bodies]
+        sides = [
+            Side(body, sign, subtract(touch.position, self._centres.row(body)))
+            for body, sign in zip(bodies, kind.signs, strict=True)
+        ]
+        found = push(contact, touch, [(side, self._velocities.row(side.body)) for side in sides])
+        frame = [axis for axis, _ in found.axes]
+        slot.store("normal", frame[0])
+        if kind.num_directions > 1:
+            slot.store("tangent", frame[1])
+        slot.store("arms", [x for side in sides for x in side.arm])
+        slot.store("distance", [touch.distance])
+        slot.store("stiffness", [found.law.stiffness])
+        slot.store("reference", found.reference)
+
+
+class _GeomTable:
+    """The geoms that can touch. rows: by their numbers."""
+
+    def __init__(self, program: Program, contacts: Sequence[ContactPair]) -> None:
+        geoms = {one.number: one for contact in contacts for one in (contact.one, contact.other)}
+        self._program, self._geoms = program, list(geoms.values())
+        self.rows = {number: row for row, number in enumerate(geoms)}
+        self._bodies = sorted({geom.body for geom in self._geoms})
+        self._body = integers(program, "geoms' bodies", [geom.body for geom in self._geoms])
+        self._local = self._columns("places", [[*one.position, *_flat(one.rotation)] for one in self._geoms])
+        self._sizes = self._columns("sizes", [one.size for one in self._geoms])
+        # A position [3] and a rotation [9] in the world.
+        self._frames = array(program, "bodies' frames", 1 + max(self._bodies), 12)
+        self._placed = array(program, "geoms' frames", len(self._geoms), 12)
+
+    def place(self, at: Poses) -> None:
+        """Notes where the geoms are in this state."""
+        for body in self._bodies:
+            self._frames.store(body, [*at.positions[body], *_flat(at.rotations[body])])
+        for_each(self._program, len(self._geoms), lambda row, _: self._place(row))
+
+    def position(self, row: Place) -> Vector:
+        return self._placed.read(row, range(3))
+
+    def rotation(self, row: Place) -> Matrix:
+        return _square(self._placed.read(row, range(3, 12)))
+
+    def placed(self, row: Place) -> Placed:
+        size = [column.at(row) for column in self._sizes]
+        return Placed(self.position(row), self.rotation(row), _UNTURNED, size)
+
+    def _place(self, row: Place) -> Vector:
+        frame, local = self._frames.row(self._body.at(row)), [column.at(row) for column in self._local]
+        to_world = _square(frame[3:])
+        position = add(frame[:3], rotate(to_world, local[:3]))
+        self._placed.store(row, [*position, *_flat(product(to_world, _square(local[3:])))])
+        return []
+
+    def _columns(self, name: str, values: Sequence[Vector]) -> list[Any]:
+        columns = zip(*values, strict=True)
+        return [column(self._program, f"geoms' {name} {k}", own) for k, own in enumerate(columns)]
+
+
+class _Loop:
+    """Contacts whose points one routine finds. begin: the row of the first among those of `kind`."""
+
+    def __init__(
+        self, kind: SlotKind, number: int, contacts: Sequence[ContactPair], geoms: _GeomTable
+    ) -> None:
+        self.kind, self.contacts, self.first = kind, contacts, contacts[0]
+        self.begin = next(row for row, one in enumerate(kind.contacts) if one is self.first)
+        self._table = geoms
+        self._rows = [
+            integers(kind.program, f"{kind.name} {number} geoms {k}", [geoms.rows[one.number] for one in own])
+            for k, own in enumerate(zip(*((one.one, one.other) for one in contacts), strict=True))
+        ]
+        self._columns = {
+            name: column(kind.program, f"{kind.name} {number} {name}", [read(one) for one in contacts])
+            for name, read in _COLUMNS.items()
+        }
+        self.geoms = [lambda row, rows=rows: geoms.placed(rows.at(row)) for rows in self._rows]
+
+    def contact(self, row: Place) -> ContactPair:
+        """The contact with the numbers of a row."""
+        at = {name: own.at(row) for name, own in self._columns.items()}
+        first = self.first.parameters
+        friction = [one.at(row + self.begin) for one in self.kind.friction]
+        spring = replace(first.spring, stiffness=at["stiffness"], damping=at["damping"])
+        parameters = ContactParameters(
+            tuple(friction), spring, at["margin"], at["reach"], at["friction_damping"]
+        )
+        return replace(self.first, parameters=parameters, inverse_weight=at["inverse_weight"])
+
+    def are_close(self, row: Place) -> Number:
+        """Whether the sphere about the first geom is near enough to the second, or to what is about it."""
+        one, other = (rows.at(row) for rows in self._rows)
+        way = subtract(self._table.position(one), self._table.position(other))
+        near, (kind, kind_other) = self._columns["near"].at(row), self.first.kinds
+        if kind == _PLANE:
+            axis = [line[2] for line in self._table.rotation(one)]
+            return -dot(axis, way) < near
+        if kind_other == _BOX:
+            box = self._table.placed(other)
+            sides = zip(box.inward(way), box.size, strict=True)
+            return reduce(and_, (absolute(x) < size + near for x, size in sides))
+        return dot(way, way) < squared(near)
+
+
+_COLUMNS: dict[str, Callable[[ContactPair], Number]] = {
+    "stiffness": lambda one: one.parameters.spring.stiffness,
+    "damping": lambda one: one.parameters.spring.damping,
+    "friction_damping": lambda one: one.parameters.friction_damping,
+    "margin": lambda one: one.parameters.margin,
+    "reach": lambda one: one.parameters.reach,
+    "inverse_weight": lambda one: one.inverse_weight,
+    # Where the centres, or a centre and a plane or a box, are nearer, they may touch.
+    "near": lambda one: _radii(one) + max(0.0, one.parameters.reach),
+}
+
+
+def _radii(contact: ContactPair) -> Number:
+    """The radii of the spheres about the geoms, of which a plane and a second box have none."""
+    is_box = contact.other.kind == _BOX and contact.one.kind != _PLANE
+    return contact.one.bound + (0.0 if is_box else contact.other.bound)
+
+
+def _looks_of_slots(contact: ContactPair) -> Hashable:
+    """Alike for contacts whose slots look alike."""
+    return contact.num_directions, bool(contact.one.body), bool(contact.other.body)
+
+
+def _looks_of_loops(contact: ContactPair) -> Hashable:
+    """Alike for contacts whose points one routine finds."""
+    return contact.kinds, contact.parameters.spring.impedance
+
+
+def _alike(
+    contacts: Sequence[ContactPair], looks: Callable[[ContactPair], Hashable]
+) -> list[list[ContactPair]]:
+    groups: dict[Hashable, list[ContactPair]] = {}
+    for contact in contacts:
+        groups.setdefault(looks(contact), []).append(contact)
+    return list(groups.values())
+
+
+def _joined(groups: Iterable[list[ContactPair]]) -> list[ContactPair]:
+    return [contact for group in groups for contact in group]
+
+
+def _flat(matrix: Matrix) -> Vector:
+    return [x for row in matrix for x in row]
+
+
+def _square(values: Vector) -> Matrix:
+    return [values[:3], values[3:6], values[6:]]

@@ -1,0 +1,195 @@
+"""Memory that a program computes places in: arrays, tables of the model, lists, and loops over them.
+
+The code of a loop over a table is written once, however many rows the table has. A place is the same for all
+environments that are computed together (the lanes of a vector on a CPU, the threads of a warp on a GPU), so
+that they read and write side by side. Where one of them needs a row of a list, all of them compute it: what
+is computed for the others must change nothing, as a contact without stiffness does.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from mujoco_compiled.program.arithmetic import Number, Vector
+from mujoco_compiled.program.program import Each, Place, Program, Read, Space, Store, Symbol, Together
+
+Index = Place | int
+
+
+@dataclass(frozen=True)
+class Array:
+    """Rows of numbers of an environment, `width` each."""
+
+    program: Program
+    first: int
+    width: int
+
+    def read(self, row: Index, places: Sequence[int]) -> Vector:
+        """The numbers at these places of a row."""
+        return [_number(self.program, "numbers", self._at(row) + place) for place in places]
+
+    def row(self, row: Index) -> Vector:
+        return self.read(row, range(self.width))
+
+    def store(self, row: Index, values: Sequence[Number], first: int = 0) -> None:
+        """Puts the values to a row, from place `first` on."""
+        for place, value in enumerate(values, first):
+            variable = self.program.variable(value)
+            self.program.statements.append(Store("numbers", self._at(row) + place, variable))
+
+    def add(self, row: Index, values: Sequence[Number], first: int = 0) -> None:
+        """Adds the values to those of a row."""
+        places = range(first, first + len(values))
+        before = self.read(row, places)
+        self.store(row, [x + y for x, y in zip(before, values, strict=True)], first)
+
+    def _at(self, row: Index) -> Place:
+        return _placed(row) * self.width + self.first
+
+
+@dataclass(frozen=True)
+class Column:
+    """A number for each row of a table. values: one for all rows, an environment's own in an array, or where
+    the model's begin among the constants."""
+
+    program: Program
+    values: Number | Array | int
+
+    def at(self, row: Index) -> Number:
+        match self.values:
+            case Array():
+                return self.values.row(row)[0]
+            case int():
+                return _number(self.program, "constants", _placed(row) + self.values)
+            case _:
+                return self.values
+
+
+@dataclass(frozen=True)
+class Integers:
+    """An integer for each row of a table."""
+
+    program: Program
+    values: Sequence[int]
+    first: int
+
+    def at(self, row: Index) -> Place:
+        if len(set(self.values)) == 1:
+            return Place(self.values[0])
+        return _integer(self.program, "integers", _placed(row) + self.first)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A list of integers, at most `most`, which the running program makes."""
+
+    program: Program
+    first: int
+    most: int
+
+    def clear(self) -> None:
+        self.program.statements.append(Store("counts", Place(self.first), Place(0)))
+
+    def append(self, value: Index) -> Place:
+        """Returns the value's row in the list."""
+        length = self.length()
+        self.program.statements += [
+            Store("counts", length + (self.first + 1), _placed(value)),
+            Store("counts", Place(self.first), length + 1),
+        ]
+        return length
+
+    def length(self) -> Place:
+        return _integer(self.program, "counts", Place(self.first), changes=True)
+
+    def at(self, row: Index) -> Place:
+        return _integer(self.program, "counts", _placed(row) + (self.first + 1), changes=True)
+
+
+def array(program: Program, name: str, rows: int, width: int = 1) -> Array:
+    """The array of this name; the first call makes it."""
+    memory = program.memory
+    if name not in memory.arrays:
+        memory.arrays[name] = memory.num_numbers
+        memory.num_numbers += rows * width
+    return Array(program, memory.arrays[name], width)
+
+
+def rows(program: Program, name: str, most: int) -> Rows:
+    """The list of this name; the first call makes it."""
+    memory = program.memory
+    if name not in memory.arrays:
+        memory.arrays[name] = memory.num_counts
+        memory.num_counts += 1 + most
+    return Rows(program, memory.arrays[name], most)
+
+
+def column(program: Program, name: str, values: Sequence[Number]) -> Column:
+    """values: by row. The first call of this name makes it; an environment's own numbers go to an array."""
+    memory = program.memory
+    if any(isinstance(value, Symbol) for value in values):
+        is_new = name not in memory.arrays
+        own = array(program, name, len(values))
+        for row, value in enumerate(values if is_new else ()):
+            own.store(row, [value])
+        return Column(program, own)
+    if len(set(values)) == 1:
+        return Column(program, float(values[0]))
+    if name not in memory.arrays:
+        memory.arrays[name] = len(memory.constants)
+        memory.constants += [float(value) for value in values]
+    return Column(program, memory.arrays[name])
+
+
+def integers(program: Program, name: str, values: Sequence[int]) -> Integers:
+    """values: by row. The first call of this name makes it."""
+    memory = program.memory
+    if name not in memory.arrays:
+        memory.arrays[name] = len(memory.integers)
+        memory.integers += values
+    return Integers(program, values, memory.arrays[name])
+
+
+def for_each(
+    program: Program,
+    count: Index,
+    body: Callable[[Place, Vector], Vector],
+    carried: Sequence[Number] = (),
+) -> Vector:
+    """The carried numbers after `body` for each integer from 0 to `count` - 1. The body may store."""
+    counter = program.new_variable()
+    inside = [Symbol(program, program.new_variable()) for _ in carried]
+    with program.block() as statements:
+        afters = [program.variable(value) for value in body(Place(0, ((counter, 1),)), list(inside))]
+    befores = [program.variable(value) for value in carried]
+    entries = tuple(zip((one.number for one in inside), befores, afters, strict=True))
+    program.statements.append(Each(_placed(count), counter, entries, tuple(statements)))
+    return list(inside)
+
+
+def where_any(condition: Symbol, body: Callable[[], None]) -> None:
+    """Does the body, which stores, for all environments that are computed together if one needs it."""
+    program = condition.program
+    with program.block() as statements:
+        body()
+    program.statements.append(Together(condition.number, tuple(statements)))
+
+
+def _placed(index: Index) -> Place:
+    return Place(index) if isinstance(index, int) else index
+
+
+def _number(program: Program, space: Space, place: Place) -> Symbol:
+    return Symbol(program, _read(program, space, place, changes=space == "numbers"))
+
+
+def _integer(program: Program, space: Space, place: Place, *, changes: bool = False) -> Place:
+    return Place(0, ((_read(program, space, place, changes=changes), 1),))
+
+
+def _read(program: Program, space: Space, place: Place, *, changes: bool) -> int:
+    """changes: whether another number may lie there when it is read again."""
+    if not changes:
+        return program.known(("read", space, place), lambda target: Read(target, space, place))
+    target = program.new_variable()
+    program.statements.append(Read(target, space, place))
+    return target
