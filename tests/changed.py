@@ -30,7 +30,7 @@ def tests_of(changed: Iterable[Path]) -> set[Path]:
             whole = file.suffix != ".py"  # Who in the package reads it, nobody says.
             reached |= {module, *(graph.find_descendants(module) if whole else ())}
             reached |= graph.find_downstream_modules(module, as_package=whole)
-    files = [Path(*module.split(".")).with_suffix(".py") for module in reached if module.startswith("tests.")]
+    files = [Path(*module.split(".")).with_suffix(".py") for module in reached if ".tests." in f".{module}"]
     found = {file for file in files if file.name.startswith("test_") and file.exists()}
     for file in files:
         if file.name == "conftest.py":

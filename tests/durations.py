@@ -35,6 +35,7 @@ BUDGETS: dict[str, float] = {
     "unit/jobs": 40,
     "architecture": 30,
     "unit": 30,
+    "mujoco_compiled": 30,
     "unit/adapters": 20,
     "unit/sweeps": 20,
     "unit/bench": 10,
@@ -106,7 +107,7 @@ def by_folder() -> dict[str, tuple[float, float]]:
     """Seconds of the tests below each folder of `BUDGETS`' depth: wall, processor."""
     totals: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
     for nodeid, seconds in _seconds.items():
-        parts = nodeid.split("::")[0].split("/")[1:-1]
+        parts = nodeid.split("::")[0].removeprefix("tests/").split("/")[:-1]
         folder = "/".join(parts[:2] if parts[:1] in (["unit"], ["api"]) else parts[:1])
         for place, value in enumerate(seconds):
             totals[folder][place] += value

@@ -1,4 +1,4 @@
-"""The library as its users have it: what its names load, and its step beside C MuJoCo's and MJX's."""
+"""The library as its users have it: its step beside C MuJoCo's, and what its names load."""
 
 import re
 import subprocess
