@@ -15,6 +15,7 @@ from mujoco_compiled.named import named, where, word
 from mujoco_compiled.program.arithmetic import squared
 from mujoco_compiled.readings.derived import DERIVED_FIELDS
 from mujoco_compiled.readings.sensor_coverage import turn_several_axes, unread_sensors
+from mujoco_compiled.smooth.routes import is_inside, sides
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 # Switches that the stages follow, and those that change nothing that they compute.
@@ -71,6 +72,9 @@ def uncovered_own(model: mujoco.MjModel, names: Sequence[str], derived: Sequence
     """The first reason why environments cannot have these fields of the model for themselves, where these
     derived fields are read."""
     if moved := sorted(set(GEOMETRY).intersection(names)):
+        for geom, side in sides(model):
+            if is_inside(model, geom, side):
+                return f"{moved[0]}: a tendon passes through its geom {named(model, 'geom', geom)}"
         if "geom_xpos" in derived:
             return f"{moved[0]}: geom_xpos is read, which has the geoms where the model has them"
         if "sensordata" in derived and (sensor := _reads_a_fixed_box(model)) is not None:
@@ -204,10 +208,19 @@ def _joints(model: mujoco.MjModel) -> Iterator[str]:
 
 def _tendons(model: mujoco.MjModel) -> Iterator[str]:
     is_fixed = model.wrap_type[model.tendon_adr] == mujoco.mjtWrap.mjWRAP_JOINT
-    yield from where(model, "tendon", ~is_fixed, "is a spatial one")
+    weighs = ~is_fixed & (model.tendon_armature != 0)
+    yield from where(model, "tendon", weighs, "is a spatial one and has an armature")
+    for geom, side in sides(model):
+        if model.geom_bodyid[geom] != model.site_bodyid[side]:
+            yield f"its site {named(model, 'site', side)} is not on the body of the geom that it is a side of"
     rough = (model.tendon_frictionloss != 0) & _uncomputable(model.tendon_solimp_fri)
     yield from where(model, "tendon", rough, _CURVE)
     limited = (model.tendon_limited != 0) & _keeps_limits(model)
+    # In another pose it may move something, by a row of MuJoCo's that is rigid.
+    idle = ~is_fixed & (model.tendon_invweight0 < mujoco.mjMINVAL)
+    idle &= limited | (model.tendon_frictionloss != 0)
+    moves_nothing = "moves nothing in the model's own pose, and has a limit or friction"
+    yield from where(model, "tendon", idle, moves_nothing)
     yield from where(model, "tendon", limited & _uncomputable(model.tendon_solimp_lim), _CURVE)
     both_ends = limited & (np.ptp(model.tendon_range, axis=1) < 2.0 * model.tendon_margin)
     yield from where(model, "tendon", both_ends, "can be at both ends of its range at once")

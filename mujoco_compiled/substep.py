@@ -3,7 +3,7 @@
 Source: MuJoCo's documentation, Computation, "Simulation pipeline" and "Numerical integration".
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -35,17 +35,26 @@ from mujoco_compiled.smooth.actuation import (
     ActuatorConstants,
     ActuatorState,
     Driven,
+    actuator_stretches,
     driven,
     read_actuators,
 )
-from mujoco_compiled.smooth.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
+from mujoco_compiled.smooth.dynamics import Entries, bias_forces, mass_matrix, motion
 from mujoco_compiled.smooth.factor import factorize, multiply, solve
 from mujoco_compiled.smooth.fluid import Fluid, drag_forces, read_fluid
 from mujoco_compiled.smooth.forces import passive_forces, weight_held
 from mujoco_compiled.smooth.integration import Implicit, add_slopes, implicit_inertia, integrated
-from mujoco_compiled.smooth.kinematics import Poses, poses
+from mujoco_compiled.smooth.kinematics import poses
 from mujoco_compiled.smooth.lone_bodies import lone_accelerations, read_lone_bodies
-from mujoco_compiled.smooth.tendons import Tendon, read_tendons, tendon_forces, with_armature
+from mujoco_compiled.smooth.paths import Stretch
+from mujoco_compiled.smooth.tendons import (
+    Tendon,
+    read_tendons,
+    tendon_forces,
+    tendon_slopes,
+    tendon_stretches,
+    with_armature,
+)
 from mujoco_compiled.smooth.tree import Tree, read_tree
 
 
@@ -138,11 +147,10 @@ def control_step(
 def substep(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
     """The state one timestep later under a control [nu]."""
     problem, now = _problem(model, state, ctrl)
-    done = now.done
     found = acceleration(problem, state.qacc if model.warm_start else problem.free, model.solver)
     qvel = add(state.qvel, scale(_integrated(model, problem, found, now), model.timestep))
     qpos = integrated(model.tree, state.qpos, qvel, model.timestep)
-    return Moved(qpos, qvel, done.act, found, done.on_dofs, _readings(model, problem, now, found))
+    return Moved(qpos, qvel, now.done.act, found, now.done.on_dofs, _readings(model, problem, now, found))
 
 
 def unmoved(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
@@ -163,9 +171,9 @@ def readings_by_sensor(model: Model, moved: Moved) -> Mapping[int, Vector]:
     if model.contact_sensors:
         at = poses(model.tree, moved.qpos)
         moving = motion(model.tree, at, moved.qvel)
-        rows = constraint_rows(
-            model.tree, model.constraints, at, moving, ConstraintState(moved.qpos, moved.qvel)
-        )
+        stretches = tendon_stretches(model.tree, model.tendons, at, moving, moved.qpos)
+        state = ConstraintState(moved.qpos, moved.qvel, stretches)
+        rows = constraint_rows(model.tree, model.constraints, at, moving, state)
         counted = numbers_touching(model.contact_sensors, model.constraints.contacts, rows)
         pairs = zip(model.contact_sensors, counted, strict=True)
         found |= {one.number: [number] for one, number in pairs}
@@ -188,12 +196,16 @@ def _problem(model: Model, state: SubstepState, ctrl: Vector) -> tuple[SolverPro
     tree = model.tree
     at = poses(tree, state.qpos)
     moving = motion(tree, at, state.qvel)
-    mass = with_armature(model.tendons, mass_matrix(tree, moving))
-    force, done = _smooth_forces(model, state, ctrl, at, moving)
+    stretches = tendon_stretches(tree, model.tendons, at, moving, state.qpos)
+    mass = with_armature(model.tendons, stretches, mass_matrix(tree, moving))
+    held = weight_held(tree, at, moving)
+    now = Instant(tree, at, moving, state.qvel, stretches, _driven(model, state, ctrl, stretches, held))
+    force = _smooth_forces(model, state, now, held)
     free = solve(tree, factorize(tree, mass), force)
-    placed = ConstraintState(state.qpos, state.qvel)
-    rows = constraint_rows(tree, model.constraints, at, moving, placed)
-    return SolverProblem(tree, mass, force, free, rows), Instant(tree, at, moving, state.qvel, done)
+    rows = constraint_rows(
+        tree, model.constraints, at, moving, ConstraintState(state.qpos, state.qvel, stretches)
+    )
+    return SolverProblem(tree, mass, force, free, rows), now
 
 
 def _readings(model: Model, problem: SolverProblem, now: Instant, found: Vector) -> Vector:
@@ -213,20 +225,24 @@ def _implicit(fields: Fields, tree: Tree) -> Implicit:
     return "damping" if damped and not fields.disables(mujoco.mjtDisableBit.mjDSBL_EULERDAMP) else "nothing"
 
 
-def _smooth_forces(
-    model: Model, state: SubstepState, ctrl: Vector, at: Poses, moving: Motion
-) -> tuple[Vector, Driven]:
-    """All forces but the constraints', [nv], and what the actuators do."""
-    tree, qpos, qvel = model.tree, state.qpos, state.qvel
-    held = weight_held(tree, at, moving)
-    own = ActuatorState(qpos, qvel, state.act, ctrl, held)
-    done = driven(tree, model.actuators, own, model.timestep)
-    passive = add(passive_forces(tree, qpos, qvel), tendon_forces(model.tendons, qpos, qvel))
+def _driven(
+    model: Model, state: SubstepState, ctrl: Vector, stretches: Sequence[Stretch], held: Vector
+) -> Driven:
+    """What the actuators do."""
+    along = actuator_stretches(model.actuators, state.qpos, stretches)
+    own = ActuatorState(along, state.qvel, state.act, ctrl, held)
+    return driven(model.tree, model.actuators, own, model.timestep)
+
+
+def _smooth_forces(model: Model, state: SubstepState, now: Instant, held: Vector) -> Vector:
+    """All forces but the constraints', [nv]. held: see `weight_held`."""
+    tree, qvel = model.tree, state.qvel
+    passive = add(passive_forces(tree, state.qpos, qvel), tendon_forces(model.tendons, now.tendons, qvel))
     for i, dof in enumerate(tree.dofs):
         if held and not dof.holds_weight:
             passive[i] = passive[i] + held[i]
-    bias = bias_forces(tree, moving, qvel, drag_forces(tree, model.fluid, at, moving))
-    return [x + y - z for x, y, z in zip(passive, done.on_dofs, bias, strict=True)], done
+    bias = bias_forces(tree, now.moving, qvel, drag_forces(tree, model.fluid, now.at, now.moving))
+    return [x + y - z for x, y, z in zip(passive, now.done.on_dofs, bias, strict=True)]
 
 
 def _integrated(model: Model, problem: SolverProblem, found: Vector, now: Instant) -> Vector:
@@ -237,12 +253,13 @@ def _integrated(model: Model, problem: SolverProblem, found: Vector, now: Instan
     """
     if model.implicit == "nothing":
         return found
-    tree, done = model.tree, now.done
+    tree = model.tree
     inertia: Entries = implicit_inertia(tree, problem.mass, model.timestep)
     force = multiply(tree, problem.mass, found)
     if model.implicit == "damping":
         return solve(tree, factorize(tree, inertia), force)
-    add_slopes(inertia, model.tendons, model.actuators, done.slopes, model.timestep)
+    slopes = [*tendon_slopes(model.tendons, now.tendons), *now.done.slopes]
+    add_slopes(inertia, slopes, model.timestep)
     changed = solve(tree, factorize(tree, inertia), force)
     for lone in read_lone_bodies(tree):
         own = lone_accelerations(lone, now.at, now.moving, inertia, force, model.timestep)

@@ -6,6 +6,7 @@ that do (`contact_slots`).
 Source: MuJoCo's documentation, Computation, "Constraint model".
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -36,6 +37,7 @@ from mujoco_compiled.program.arithmetic import Vector
 from mujoco_compiled.program.program import Symbol
 from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
+from mujoco_compiled.smooth.paths import Path, Stretch, stretch
 from mujoco_compiled.smooth.tree import Tree
 
 # With at most this many contacts, each is written out: loops over tables do not pay.
@@ -66,10 +68,11 @@ class Constraints:
 
 @dataclass(frozen=True)
 class ConstraintState:
-    """qpos: [nq]. qvel: [nv]."""
+    """qpos: [nq]. qvel: [nv]. tendons: the stretches of the model's tendons, as far as they are spatial."""
 
     qpos: Vector
     qvel: Vector
+    tendons: Sequence[Stretch] = ()
 
 
 def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
@@ -99,11 +102,15 @@ def constraint_rows(
     touching = [
         point for contact in written_out for point in contact_rows(tree, contact, at, moving, by_body=by_body)
     ]
+
+    def stretched(path: Path) -> Stretch:
+        return stretch(path, state.qpos, state.tendons)
+
     groups: list[RowGroup | BodyGroup] = [
         *(row for tie in constraints.ties for row in tie_rows(tree, tie, at, moving, state.qvel)),
-        *(coupling_row(coupling, state.qpos, state.qvel) for coupling in constraints.couplings),
-        *(friction_row(friction, state.qvel) for friction in constraints.frictions),
-        *(limit_row(limit, state.qpos, state.qvel) for limit in constraints.limits),
+        *(coupling_row(one, stretched, state.qvel) for one in constraints.couplings),
+        *(friction_row(one, stretched(one.path), state.qvel) for one in constraints.frictions),
+        *(limit_row(one, stretched(one.path), state.qvel) for one in constraints.limits),
         *(ball_limit_row(limit, state.qpos, state.qvel) for limit in constraints.ball_limits),
         *(group for _, group in touching),
     ]

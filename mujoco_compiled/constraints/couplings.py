@@ -4,6 +4,7 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Equality"; XML
 Measured in MuJoCo 3.17: the wanted acceleration has no term of the polynomial's second derivative.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -20,20 +21,16 @@ from mujoco_compiled.constraints.solref import (
 )
 from mujoco_compiled.fields import Fields
 from mujoco_compiled.program.arithmetic import Number, Vector, total
-from mujoco_compiled.smooth.tendons import Coefficients, read_tendons, weighted
+from mujoco_compiled.smooth.paths import Linear, Path, Stretch, weighted
+from mujoco_compiled.smooth.tendons import path_of, read_tendons
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A joint's position or a tendon's length, less the one at rest. of_positions, moment: see `Tendon`."""
+    """A joint's position or a tendon's length in rad or m, less the one at rest."""
 
-    of_positions: Coefficients
-    moment: Coefficients
+    path: Path
     rest: float
-
-    def value(self, qpos: Vector) -> Number:
-        """In rad or m."""
-        return weighted(self.of_positions, qpos) - self.rest
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,7 @@ class Coupling:
 
     @property
     def dofs(self) -> list[int]:
-        return [*self.follower.moment, *(self.leader.moment if self.leader else ())]
+        return [*self.follower.path.dofs, *(self.leader.path.dofs if self.leader else ())]
 
 
 def read_couplings(fields: Fields) -> tuple[Coupling, ...]:
@@ -61,15 +58,17 @@ def read_couplings(fields: Fields) -> tuple[Coupling, ...]:
     return tuple(_coupling(fields, int(i)) for i in found)
 
 
-def coupling_row(coupling: Coupling, qpos: Vector, qvel: Vector) -> RowGroup:
-    """How far the follower is ahead of where it should be."""
-    lead = coupling.leader.value(qpos) if coupling.leader else 0.0
-    distance = coupling.follower.value(qpos) - _value(coupling.polynomial, lead)
-    direction: Coefficients = dict(coupling.follower.moment)
+def coupling_row(coupling: Coupling, stretched: Callable[[Path], Stretch], qvel: Vector) -> RowGroup:
+    """How far the follower is ahead of where it should be. stretched: of a path in this state."""
+    follower = stretched(coupling.follower.path)
+    direction, lead = dict(follower.moment), 0.0
     if coupling.leader:
+        leader = stretched(coupling.leader.path)
+        lead = leader.length - coupling.leader.rest
         slope = _value([power * x for power, x in enumerate(coupling.polynomial)][1:], lead)
-        for dof, coefficient in coupling.leader.moment.items():
+        for dof, coefficient in leader.moment.items():
             direction[dof] = direction.get(dof, 0.0) - slope * coefficient
+    distance = follower.length - coupling.follower.rest - _value(coupling.polynomial, lead)
     impedance = impedance_at(coupling.spring.impedance, distance)
     reference = reference_at(coupling.spring, impedance, distance, weighted(direction, qvel))
     law = TwoSided(full_stiffness(impedance, coupling.inverse_weight))
@@ -107,9 +106,9 @@ def _coupling(fields: Fields, number: int) -> Coupling:
 
 def _of_joint(model: mujoco.MjModel, joint: int) -> Coordinate:
     position, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    return Coordinate({position: 1.0}, {dof: 1.0}, float(model.qpos0[position]))
+    return Coordinate(Linear({position: 1.0}, {dof: 1.0}), float(model.qpos0[position]))
 
 
 def _of_tendon(fields: Fields, number: int) -> Coordinate:
     tendon = read_tendons(fields.model, fields.own)[number]
-    return Coordinate(tendon.of_positions, tendon.moment, float(fields.model.tendon_length0[number]))
+    return Coordinate(path_of(tendon, number), float(fields.model.tendon_length0[number]))

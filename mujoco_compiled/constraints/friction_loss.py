@@ -15,7 +15,8 @@ from mujoco_compiled.constraints.solref import (
 )
 from mujoco_compiled.fields import Fields, is_zero
 from mujoco_compiled.program.arithmetic import Matrix, Number, Vector, absolute, clip, select
-from mujoco_compiled.smooth.tendons import Coefficients, read_tendons, weighted
+from mujoco_compiled.smooth.paths import Linear, Path, Stretch
+from mujoco_compiled.smooth.tendons import path_of, read_tendons
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,9 @@ class Friction:
 
 @dataclass(frozen=True)
 class FrictionLoss:
-    """The friction of a degree of freedom or a tendon.
+    """The friction of a degree of freedom or a tendon. damping: of the reference acceleration."""
 
-    moment: see `Tendon`. damping: of the reference acceleration.
-    """
-
-    moment: Coefficients
+    path: Path
     damping: Number
     law: Friction
 
@@ -83,24 +81,22 @@ def read_friction_losses(fields: Fields) -> tuple[FrictionLoss, ...]:
         if not is_zero(most):
             weight = fields.number("dof_invweight0", dof)
             spring = read_spring(fields.row("dof_solref", dof), model.dof_solimp[dof], model.opt.timestep)
-            found.append(_friction_loss({dof: 1.0}, most, weight, spring))
+            found.append(_friction_loss(Linear({}, {dof: 1.0}), most, weight, spring))
     for number, tendon in enumerate(read_tendons(model, fields.own)):
         most = fields.number("tendon_frictionloss", number)
         if not is_zero(most):
             weight, solimp = fields.number("tendon_invweight0", number), model.tendon_solimp_fri[number]
             spring = read_spring(fields.row("tendon_solref_fri", number), solimp, model.opt.timestep)
-            found.append(_friction_loss(tendon.moment, most, weight, spring))
+            found.append(_friction_loss(path_of(tendon, number), most, weight, spring))
     return tuple(found)
 
 
-def friction_row(friction: FrictionLoss, qvel: Vector) -> RowGroup:
-    """Against the speed."""
-    return RowGroup([friction.moment], [-friction.damping * weighted(friction.moment, qvel)], friction.law)
+def friction_row(friction: FrictionLoss, stretched: Stretch, qvel: Vector) -> RowGroup:
+    """Against the speed. stretched: of the friction's path."""
+    return RowGroup([stretched.moment], [-friction.damping * stretched.rate(qvel)], friction.law)
 
 
-def _friction_loss(
-    moment: Coefficients, most: Number, inverse_weight: Number, spring: SpringDamper
-) -> FrictionLoss:
+def _friction_loss(path: Path, most: Number, inverse_weight: Number, spring: SpringDamper) -> FrictionLoss:
     impedance = impedance_at(spring.impedance, 0.0)
     law = Friction(full_stiffness(impedance, inverse_weight), most)
-    return FrictionLoss(moment, spring.damping, law)
+    return FrictionLoss(path, spring.damping, law)

@@ -22,17 +22,17 @@ from mujoco_compiled.fields import Fields
 from mujoco_compiled.program.arithmetic import (
     Number,
     Vector,
-    cosine,
     dot,
     maximum,
     minimum,
     normalized,
     scale,
     select,
-    sine,
     sqrt,
 )
-from mujoco_compiled.smooth.tendons import Coefficients, read_tendons, weighted
+from mujoco_compiled.smooth.paths import Linear, Path, Stretch
+from mujoco_compiled.smooth.spatial import angle_of
+from mujoco_compiled.smooth.tendons import path_of, read_tendons
 
 _SMALLEST = 1e-30
 
@@ -41,11 +41,10 @@ _SMALLEST = 1e-30
 class Limit:
     """The range of a hinge, a slide or a tendon, in rad or m.
 
-    of_positions, moment: see `Tendon`. inverse_weight: MuJoCo's `dof_invweight0` or `tendon_invweight0`.
+    inverse_weight: MuJoCo's `dof_invweight0` or `tendon_invweight0`.
     """
 
-    of_positions: Coefficients
-    moment: Coefficients
+    path: Path
     low: float
     high: float
     margin: float
@@ -78,16 +77,15 @@ def read_ball_limits(fields: Fields) -> tuple[BallLimit, ...]:
     return tuple(_ball_limit(fields, joint) for joint in _limited(model) if _is_ball(model, joint))
 
 
-def limit_row(limit: Limit, qpos: Vector, qvel: Vector) -> RowGroup:
-    """The nearer end of the range: both are never active at once."""
-    length = weighted(limit.of_positions, qpos)
-    above, below = length - limit.low, limit.high - length
+def limit_row(limit: Limit, stretched: Stretch, qvel: Vector) -> RowGroup:
+    """The nearer end of the range: both are never active at once. stretched: of the limit's path."""
+    above, below = stretched.length - limit.low, limit.high - stretched.length
     sign = select(above < below, 1.0, -1.0)
     distance = minimum(above, below) - limit.margin
     impedance = impedance_at(limit.spring.impedance, distance)
     stiffness = stiffness_at(impedance, limit.inverse_weight, distance)
-    reference = reference_at(limit.spring, impedance, distance, sign * weighted(limit.moment, qvel))
-    direction = {dof: sign * coefficient for dof, coefficient in limit.moment.items()}
+    reference = reference_at(limit.spring, impedance, distance, sign * stretched.rate(qvel))
+    direction = {dof: sign * coefficient for dof, coefficient in stretched.moment.items()}
     return RowGroup([direction], [reference], OneSided(stiffness))
 
 
@@ -98,7 +96,7 @@ def ball_limit_row(limit: BallLimit, qpos: Vector, qvel: Vector) -> RowGroup:
     sign = select(real < 0.0, -1.0, 1.0)
     length = sqrt(maximum(dot(imaginary, imaginary), _SMALLEST))
     axis = scale(imaginary, sign / length)
-    distance = limit.most - 2.0 * _angle(length, sign * real) - limit.margin
+    distance = limit.most - 2.0 * angle_of(length, sign * real) - limit.margin
     direction = {limit.dof + k: -x for k, x in enumerate(axis)}
     speed = dot(list(direction.values()), qvel[limit.dof : limit.dof + 3])
     impedance = impedance_at(limit.spring.impedance, distance)
@@ -106,15 +104,6 @@ def ball_limit_row(limit: BallLimit, qpos: Vector, qvel: Vector) -> RowGroup:
     return RowGroup(
         [direction], [reference_at(limit.spring, impedance, distance, speed)], OneSided(stiffness)
     )
-
-
-def _angle(sine_of: Number, cosine_of: Number) -> Number:
-    """The angle, from 0 to a quarter of a circle in rad, with this sine and cosine."""
-    angle = (0.5 * np.pi) * (sine_of / (sine_of + cosine_of))
-    # That is less than 0.07 away; each repetition leaves a sixth of the third power.
-    for _ in range(2):
-        angle = angle + (sine_of * cosine(angle) - cosine_of * sine(angle))
-    return angle
 
 
 def _limited(model: mujoco.MjModel) -> list[int]:
@@ -129,8 +118,7 @@ def _limit(fields: Fields, joint: int) -> Limit:
     model = fields.model
     dof = int(model.jnt_dofadr[joint])
     return Limit(
-        of_positions={int(model.jnt_qposadr[joint]): 1.0},
-        moment={dof: 1.0},
+        path=Linear({int(model.jnt_qposadr[joint]): 1.0}, {dof: 1.0}),
         low=float(model.jnt_range[joint, 0]),
         high=float(model.jnt_range[joint, 1]),
         margin=float(model.jnt_margin[joint]),
@@ -145,8 +133,7 @@ def _tendon_limits(fields: Fields) -> Iterator[Limit]:
         if model.tendon_limited[number]:
             solimp = model.tendon_solimp_lim[number]
             yield Limit(
-                of_positions=tendon.of_positions,
-                moment=tendon.moment,
+                path=path_of(tendon, number),
                 low=float(model.tendon_range[number, 0]),
                 high=float(model.tendon_range[number, 1]),
                 margin=float(model.tendon_margin[number]),

@@ -29,13 +29,13 @@ def with_lane_constants(program: Program, model: Model, limbs: Limbs) -> Model:
             bodies=place.merged(tree.bodies, place.bodies()),
             dofs=place.merged(tree.dofs, list(limbs.alike("qvel"))),
         ),
-        tendons=place.merged(model.tendons, place.grouped(model.tendons, lambda one: one.moment)),
-        actuators=place.merged(model.actuators, place.grouped(model.actuators, lambda one: one.moment)),
+        tendons=place.merged(model.tendons, place.grouped(model.tendons, lambda one: one.path.dofs)),
+        actuators=place.merged(model.actuators, place.grouped(model.actuators, lambda one: one.path.dofs)),
         fluid=replace(model.fluid, drags=place.merged_drags(model.fluid.drags)),
         constraints=replace(
             constraints,
             **{
-                name: place.merged(values, place.grouped(values, lambda one: one.moment))
+                name: place.merged(values, place.grouped(values, lambda one: one.path.dofs))
                 for name, values in (("frictions", constraints.frictions), ("limits", constraints.limits))
             },
             ball_limits=place.merged(
@@ -63,7 +63,7 @@ def with_lane_constants(program: Program, model: Model, limbs: Limbs) -> Model:
 def alike_inputs(model: Model, limbs: Limbs, own: Sequence[str] = ()) -> dict[str, list[tuple[int, ...]]]:
     """Places of the state's, the controls' and some fields' numbers that are alike, by lane."""
     place = _Places(Program(), limbs)
-    actuators = place.grouped(model.actuators, lambda one: one.moment)
+    actuators = place.grouped(model.actuators, lambda one: one.path.dofs)
     activations = [[model.actuators[one].activation for one in alike] for alike in actuators]
     return {
         **{name: list(limbs.alike(name)) for name in ("qpos", "qvel", "qacc_warmstart")},

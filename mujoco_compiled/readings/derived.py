@@ -10,7 +10,6 @@ import mujoco
 from mujoco_compiled.program.arithmetic import Vector
 from mujoco_compiled.readings.scene import Scene
 from mujoco_compiled.readings.sensors import sensor_values
-from mujoco_compiled.smooth.tendons import weighted
 
 
 def derived(scene: Scene, names: tuple[str, ...]) -> dict[str, Vector]:
@@ -33,7 +32,7 @@ _COMPUTED: Mapping[str, Callable[[Scene], Vector]] = {
     "sensordata": sensor_values,
     "site_xpos": lambda scene: _positions(scene, mujoco.mjtObj.mjOBJ_SITE, scene.fields.model.nsite),
     "subtree_com": lambda scene: _flat(scene.means(scene.poses.centres)),
-    "ten_length": lambda scene: [weighted(one.of_positions, scene.qpos) for one in scene.tendons],
+    "ten_length": lambda scene: [one.length for one in scene.stretches],
     "xmat": lambda scene: _flat([_flat(rotation) for rotation in scene.poses.rotations]),
     "xpos": lambda scene: _flat(scene.poses.positions),
     "xquat": lambda scene: _flat(scene.poses.quaternions),

@@ -24,6 +24,7 @@ from mujoco_compiled.readings.scene import Frame, Scene
 from mujoco_compiled.smooth.actuation import Driven
 from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
+from mujoco_compiled.smooth.paths import Stretch
 from mujoco_compiled.smooth.tree import Tree
 
 _Kind = mujoco.mjtSensor
@@ -63,12 +64,14 @@ def read_force_sensors(model: mujoco.MjModel) -> tuple[ForceSensor, ...]:
 
 @dataclass(frozen=True)
 class Instant:
-    """A substep before it moves: where the bodies are, how they move, and what the actuators do."""
+    """A substep before it moves: where the bodies are, how they move, how long the tendons are, and what the
+    actuators do."""
 
     tree: Tree
     at: Poses
     moving: Motion
     qvel: Vector
+    tendons: Sequence[Stretch]
     done: Driven
 
 

@@ -23,7 +23,8 @@ from mujoco_compiled.program.arithmetic import (
 )
 from mujoco_compiled.smooth.dynamics import Motion, motion
 from mujoco_compiled.smooth.kinematics import Poses, poses
-from mujoco_compiled.smooth.tendons import Tendon, read_tendons
+from mujoco_compiled.smooth.paths import Stretch
+from mujoco_compiled.smooth.tendons import read_tendons, tendon_stretches
 from mujoco_compiled.smooth.tree import Tree, read_tree
 
 NO_READINGS: Mapping[int, Vector] = {}
@@ -58,8 +59,10 @@ class Scene:
         return read_tree(self.fields.model, self.fields.own)
 
     @cached_property
-    def tendons(self) -> tuple[Tendon, ...]:
-        return read_tendons(self.fields.model, self.fields.own)
+    def stretches(self) -> list[Stretch]:
+        """Of the tendons."""
+        tendons = read_tendons(self.fields.model, self.fields.own)
+        return tendon_stretches(self.tree, tendons, self.poses, self.motion, self.qpos)
 
     @cached_property
     def poses(self) -> Poses:

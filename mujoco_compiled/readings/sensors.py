@@ -24,8 +24,8 @@ from mujoco_compiled.readings.contact_sensors import KINDS as CONTACT_KINDS
 from mujoco_compiled.readings.force_sensors import KINDS as FORCE_KINDS
 from mujoco_compiled.readings.scene import Frame, Scene
 from mujoco_compiled.smooth.actuation import transmission
+from mujoco_compiled.smooth.paths import stretch
 from mujoco_compiled.smooth.spatial import conjugate
-from mujoco_compiled.smooth.tendons import weighted
 
 _Kind = mujoco.mjtSensor
 
@@ -91,13 +91,11 @@ def _joint(scene: Scene, sensor: SensorConstants) -> Vector:
 def _length(scene: Scene, sensor: SensorConstants) -> Vector:
     """The length of a tendon or an actuator, or its rate."""
     if sensor.kind in (_Kind.mjSENS_TENDONPOS, _Kind.mjSENS_TENDONVEL):
-        tendon = scene.tendons[sensor.object]
-        of_positions, moment = tendon.of_positions, tendon.moment
+        found = scene.stretches[sensor.object]
     else:
-        of_positions, moment = transmission(scene.fields, sensor.object)
-    if sensor.kind in (_Kind.mjSENS_TENDONPOS, _Kind.mjSENS_ACTUATORPOS):
-        return [weighted(of_positions, scene.qpos)]
-    return [weighted(moment, scene.qvel)]
+        found = stretch(transmission(scene.fields, sensor.object), scene.qpos, scene.stretches)
+    reads_length = sensor.kind in (_Kind.mjSENS_TENDONPOS, _Kind.mjSENS_ACTUATORPOS)
+    return [found.length if reads_length else found.rate(scene.qvel)]
 
 
 def _position(scene: Scene, sensor: SensorConstants) -> Vector:

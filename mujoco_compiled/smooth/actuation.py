@@ -1,8 +1,9 @@
-"""Actuators: forces on joints and fixed tendons, and activations.
+"""Actuators: forces on joints and tendons, and activations.
 
 Source: MuJoCo's documentation, Computation, "Actuation model".
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp
 
@@ -11,7 +12,8 @@ import numpy as np
 
 from mujoco_compiled.fields import NOMINAL, Fields, Own, is_zero
 from mujoco_compiled.program.arithmetic import Number, Vector, clip, maximum, select
-from mujoco_compiled.smooth.tendons import Coefficients, read_tendons, weighted
+from mujoco_compiled.smooth.paths import Linear, Path, Slope, Stretch, stretch
+from mujoco_compiled.smooth.tendons import path_of, read_tendons
 from mujoco_compiled.smooth.tree import Range, Tree
 
 
@@ -30,13 +32,11 @@ class ActivationConstants:
 class ActuatorConstants:
     """A force along a length: gain · (control or activation) + bias.
 
-    of_positions: the length, by address in qpos; empty where it has none. moment: its rate, by degree of
-    freedom. gain, bias: three coefficients each, of 1, of the length and of its rate. control_range,
-    force_range: None without bounds.
+    gain, bias: three coefficients each, of 1, of the length and of its rate. control_range, force_range: None
+    without bounds.
     """
 
-    of_positions: Coefficients
-    moment: Coefficients
+    path: Path
     gain: Vector
     bias: Vector
     activation: ActivationConstants | None
@@ -48,20 +48,21 @@ class ActuatorConstants:
 class Driven:
     """forces: the actuators' own [nu]. on_dofs: on the degrees of freedom [nv], MuJoCo's `qfrc_actuator`.
 
-    act: the activations [na] after the timestep. slopes: by actuator, how its force changes with its rate.
+    act: the activations [na] after the timestep. slopes: of the actuators' forces.
     """
 
     forces: Vector
     on_dofs: Vector
     act: Vector
-    slopes: Vector
+    slopes: list[Slope]
 
 
 @dataclass(frozen=True)
 class ActuatorState:
-    """qpos: [nq]. qvel: [nv]. act: [na]. ctrl: [nu]. held: [nv], of gravity compensation; empty without."""
+    """stretches: of the actuators' paths. qvel: [nv]. act: [na]. ctrl: [nu]. held: [nv], of gravity
+    compensation; empty without."""
 
-    qpos: Vector
+    stretches: Sequence[Stretch]
     qvel: Vector
     act: Vector
     ctrl: Vector
@@ -69,7 +70,7 @@ class ActuatorState:
 
 
 def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[ActuatorConstants, ...]:
-    """The model's actuators, on joints and fixed tendons; none where actuation is disabled.
+    """The model's actuators, on joints and tendons; none where actuation is disabled.
 
     own: see `Fields`.
     """
@@ -79,6 +80,13 @@ def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[ActuatorC
     return tuple(_actuator(fields, number) for number in range(model.nactuator))
 
 
+def actuator_stretches(
+    actuators: Sequence[ActuatorConstants], qpos: Vector, tendons: Sequence[Stretch]
+) -> list[Stretch]:
+    """By actuator. tendons: the stretches of the model's tendons."""
+    return [stretch(actuator.path, qpos, tendons) for actuator in actuators]
+
+
 def driven(
     tree: Tree, actuators: tuple[ActuatorConstants, ...], state: ActuatorState, timestep: float
 ) -> Driven:
@@ -86,8 +94,8 @@ def driven(
     found = Driven([], [0.0] * len(state.qvel), list(state.act), [])
     if not actuators:
         return found
-    for actuator, control in zip(actuators, state.ctrl, strict=True):
-        _drive(actuator, control, state, timestep, found)
+    for actuator, stretched, control in zip(actuators, state.stretches, state.ctrl, strict=True):
+        _drive(actuator, stretched, control, state, timestep, found)
     for i, dof in enumerate(tree.dofs):
         if dof.holds_weight and state.held:
             found.on_dofs[i] = found.on_dofs[i] + state.held[i]
@@ -97,10 +105,15 @@ def driven(
 
 
 def _drive(
-    actuator: ActuatorConstants, control: Number, state: ActuatorState, timestep: float, found: Driven
+    actuator: ActuatorConstants,
+    stretched: Stretch,
+    control: Number,
+    state: ActuatorState,
+    timestep: float,
+    found: Driven,
 ) -> None:
     """Add what one actuator does."""
-    length, rate = weighted(actuator.of_positions, state.qpos), weighted(actuator.moment, state.qvel)
+    length, rate = stretched.length, stretched.rate(state.qvel)
     wanted = clip(control, *actuator.control_range) if actuator.control_range else control
     if activation := actuator.activation:
         before = state.act[activation.address]
@@ -115,8 +128,8 @@ def _drive(
             slope = select((low < force) & (force < high), slope, 0.0)
         force = clip(force, low, high)
     found.forces.append(force)
-    found.slopes.append(slope)
-    for dof, coefficient in actuator.moment.items():
+    found.slopes.append((stretched, slope))
+    for dof, coefficient in stretched.moment.items():
         found.on_dofs[dof] = found.on_dofs[dof] + coefficient * force
 
 
@@ -136,7 +149,6 @@ def _affine(coefficients: Vector, length: Number, rate: Number) -> Number:
 
 def _actuator(fields: Fields, number: int) -> ActuatorConstants:
     model = fields.model
-    of_positions, moment = transmission(fields, number)
     gain, bias = fields.row("actuator_gainprm", number), fields.row("actuator_biasprm", number)
     affine_gain = model.actuator_gaintype[number] == mujoco.mjtGain.mjGAIN_AFFINE
     affine_bias = model.actuator_biastype[number] == mujoco.mjtBias.mjBIAS_AFFINE
@@ -144,8 +156,7 @@ def _actuator(fields: Fields, number: int) -> ActuatorConstants:
     limits_control = clamps and bool(model.actuator_ctrllimited[number])
     low, high = fields.row("actuator_forcerange", number)
     return ActuatorConstants(
-        of_positions=of_positions,
-        moment=moment,
+        path=transmission(fields, number),
         gain=gain[:3] if affine_gain else [gain[0], 0.0, 0.0],
         bias=bias[:3] if affine_bias else [0.0] * 3,
         activation=_activation(fields, number) if model.actuator_actadr[number] >= 0 else None,
@@ -154,21 +165,16 @@ def _actuator(fields: Fields, number: int) -> ActuatorConstants:
     )
 
 
-def transmission(fields: Fields, number: int) -> tuple[Coefficients, Coefficients]:
-    """An actuator's length by position, and its rate by degree of freedom."""
+def transmission(fields: Fields, number: int) -> Path:
+    """What an actuator acts along."""
     model, target = fields.model, int(fields.model.actuator_trnid[number, 0])
     gear = fields.row("actuator_gear", number)
     if model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_TENDON:
-        tendon = read_tendons(model, fields.own)[target]
-        lengths, rates = (
-            {place: coefficient * gear[0] for place, coefficient in coefficients.items()}
-            for coefficients in (tendon.of_positions, tendon.moment)
-        )
-        return lengths, rates
+        return path_of(read_tendons(model, fields.own)[target], target, gear[0])
     dof = int(model.jnt_dofadr[target])
     num_dofs = int(np.count_nonzero(model.dof_jntid == target))
     moment = {dof + axis: x for axis, x in enumerate(gear[:num_dofs]) if not is_zero(x)}
-    return ({int(model.jnt_qposadr[target]): gear[0]} if num_dofs == 1 else {}), moment
+    return Linear({int(model.jnt_qposadr[target]): gear[0]} if num_dofs == 1 else {}, moment)
 
 
 def _activation(fields: Fields, number: int) -> ActivationConstants:

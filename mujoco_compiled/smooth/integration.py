@@ -3,8 +3,10 @@
 Source: MuJoCo's documentation, Computation, "Numerical integration".
 """
 
+from collections.abc import Sequence
 from typing import Literal
 
+from mujoco_compiled.fields import is_zero
 from mujoco_compiled.program.arithmetic import (
     Vector,
     cosine,
@@ -16,9 +18,9 @@ from mujoco_compiled.program.arithmetic import (
     sine,
     sqrt,
 )
-from mujoco_compiled.smooth.actuation import ActuatorConstants
 from mujoco_compiled.smooth.dynamics import Entries
-from mujoco_compiled.smooth.tendons import Tendon, add_outer
+from mujoco_compiled.smooth.paths import Slope
+from mujoco_compiled.smooth.tendons import add_outer
 from mujoco_compiled.smooth.tree import Tree
 
 # Which forces are taken at the velocities after the timestep: none, the joints' dampers, or all that are
@@ -34,19 +36,11 @@ def implicit_inertia(tree: Tree, mass: Entries, timestep: float) -> Entries:
     return found
 
 
-def add_slopes(
-    inertia: Entries,
-    tendons: tuple[Tendon, ...],
-    actuators: tuple[ActuatorConstants, ...],
-    slopes: Vector,
-    timestep: float,
-) -> None:
-    """Add h times how the forces of tendons and actuators change with their rates, in M's own entries."""
-    for tendon in tendons:
-        if tendon.damping:
-            add_outer(inertia, tendon.moment, timestep * tendon.damping)
-    for actuator, slope in zip(actuators, slopes, strict=True):
-        add_outer(inertia, actuator.moment, -timestep * slope)
+def add_slopes(inertia: Entries, slopes: Sequence[Slope], timestep: float) -> None:
+    """Subtract h times the forces' slopes, in M's own entries."""
+    for stretched, slope in slopes:
+        if not is_zero(slope):
+            add_outer(inertia, stretched.moment, -timestep * slope)
 
 
 def integrated(tree: Tree, qpos: Vector, qvel: Vector, timestep: float) -> Vector:

@@ -1,30 +1,28 @@
-"""Fixed tendons: their length is a sum of joints' positions, each times a coefficient.
+"""Tendons: their springs, dampers and armature.
 
+The length of a fixed tendon is a sum of joints' positions, each times a coefficient; see `routes` for others.
 Source: MuJoCo's documentation, Modeling, "Tendon", and Computation, "Passive forces".
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 
 from mujoco_compiled.fields import NOMINAL, Fields, Own
-from mujoco_compiled.program.arithmetic import Number, Vector, clip, total
-from mujoco_compiled.smooth.dynamics import Entries
-from mujoco_compiled.smooth.tree import Range
-
-# By the address of a position or of a velocity.
-Coefficients = dict[int, Number]
+from mujoco_compiled.program.arithmetic import Number, Vector, clip
+from mujoco_compiled.smooth.dynamics import Entries, Motion
+from mujoco_compiled.smooth.kinematics import Poses
+from mujoco_compiled.smooth.paths import Coefficients, Linear, OfTendon, Path, Slope, Stretch, stretch
+from mujoco_compiled.smooth.routes import Route, read_route, route_stretch
+from mujoco_compiled.smooth.tree import Range, Tree
 
 
 @dataclass(frozen=True)
 class Tendon:
-    """of_positions: by address in qpos; moment: the same coefficients by degree of freedom.
+    """stiffness, damping, armature: of the length. rest: lengths between which the spring does not pull."""
 
-    stiffness, damping, armature: of the length. rest: lengths between which the spring does not pull.
-    """
-
-    of_positions: Coefficients
-    moment: Coefficients
+    path: Linear | Route
     stiffness: float
     damping: float
     armature: float
@@ -32,36 +30,58 @@ class Tendon:
 
 
 def read_tendons(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[Tendon, ...]:
-    """The model's tendons, which must be fixed ones. own: see `Fields`."""
+    """The model's tendons. own: see `Fields`."""
     return tuple(_tendon(Fields(model, own), number) for number in range(model.ntendon))
 
 
-def weighted(coefficients: Coefficients, values: Vector) -> Number:
-    """The values at the coefficients' addresses, each times its coefficient: a length or its rate."""
-    return total(coefficient * values[place] for place, coefficient in coefficients.items())
+def path_of(tendon: Tendon, number: int, gear: Number = 1.0) -> Path:
+    """What acts along the tendon with this number acts along, times `gear`."""
+    if isinstance(tendon.path, Route):
+        return OfTendon(number, gear, tuple(tendon.path.dofs))
+    of_positions, moment = (
+        {place: coefficient * gear for place, coefficient in coefficients.items()}
+        for coefficients in (tendon.path.of_positions, tendon.path.moment)
+    )
+    return Linear(of_positions, moment)
 
 
-def tendon_forces(tendons: tuple[Tendon, ...], qpos: Vector, qvel: Vector) -> Vector:
+def tendon_stretches(
+    tree: Tree, tendons: Sequence[Tendon], at: Poses, moving: Motion, qpos: Vector
+) -> list[Stretch]:
+    """By tendon."""
+    return [
+        route_stretch(tree, tendon.path, at, moving)
+        if isinstance(tendon.path, Route)
+        else stretch(tendon.path, qpos, ())
+        for tendon in tendons
+    ]
+
+
+def tendon_forces(tendons: Sequence[Tendon], stretches: Sequence[Stretch], qvel: Vector) -> Vector:
     """[nv]: the tendons' springs and dampers."""
     found: Vector = [0.0] * len(qvel)
-    for tendon in tendons:
+    for tendon, stretched in zip(tendons, stretches, strict=True):
         force: Number = 0.0
         if tendon.stiffness:
-            length = weighted(tendon.of_positions, qpos)
-            force = force - tendon.stiffness * (length - clip(length, *tendon.rest))
+            force = force - tendon.stiffness * (stretched.length - clip(stretched.length, *tendon.rest))
         if tendon.damping:
-            force = force - tendon.damping * weighted(tendon.moment, qvel)
-        for dof, coefficient in tendon.moment.items():
+            force = force - tendon.damping * stretched.rate(qvel)
+        for dof, coefficient in stretched.moment.items():
             found[dof] = found[dof] + coefficient * force
     return found
 
 
-def with_armature(tendons: tuple[Tendon, ...], mass: Entries) -> Entries:
+def tendon_slopes(tendons: Sequence[Tendon], stretches: Sequence[Stretch]) -> list[Slope]:
+    """Of the dampers' forces."""
+    return [(stretched, -tendon.damping) for tendon, stretched in zip(tendons, stretches, strict=True)]
+
+
+def with_armature(tendons: Sequence[Tendon], stretches: Sequence[Stretch], mass: Entries) -> Entries:
     """M with the tendons' armature, in M's own entries only, as MuJoCo has it."""
     found = dict(mass)
-    for tendon in tendons:
+    for tendon, stretched in zip(tendons, stretches, strict=True):
         if tendon.armature:
-            add_outer(found, tendon.moment, tendon.armature)
+            add_outer(found, stretched.moment, tendon.armature)
     return found
 
 
@@ -75,18 +95,22 @@ def add_outer(entries: Entries, moment: Coefficients, factor: Number) -> None:
 
 def _tendon(fields: Fields, number: int) -> Tendon:
     model, bit = fields.model, mujoco.mjtDisableBit
-    of_positions, moment = Coefficients(), Coefficients()
-    first = int(model.tendon_adr[number])
-    for place in range(first, first + int(model.tendon_num[number])):
-        joint, coefficient = int(model.wrap_objid[place]), float(model.wrap_prm[place])
-        for address, into in ((model.jnt_qposadr, of_positions), (model.jnt_dofadr, moment)):
-            into[int(address[joint])] = into.get(int(address[joint]), 0.0) + coefficient
+    is_fixed = model.wrap_type[model.tendon_adr[number]] == mujoco.mjtWrap.mjWRAP_JOINT
     low, high = (float(x) for x in model.tendon_lengthspring[number])
     return Tendon(
-        of_positions=of_positions,
-        moment=moment,
+        path=_of_joints(model, number) if is_fixed else read_route(fields, number),
         stiffness=0.0 if fields.disables(bit.mjDSBL_SPRING) else float(model.tendon_stiffness[number]),
         damping=0.0 if fields.disables(bit.mjDSBL_DAMPER) else float(model.tendon_damping[number]),
         armature=float(model.tendon_armature[number]),
         rest=(low, high),
     )
+
+
+def _of_joints(model: mujoco.MjModel, tendon: int) -> Linear:
+    found = Linear({}, {})
+    first = int(model.tendon_adr[tendon])
+    for place in range(first, first + int(model.tendon_num[tendon])):
+        joint, coefficient = int(model.wrap_objid[place]), float(model.wrap_prm[place])
+        for address, into in ((model.jnt_qposadr, found.of_positions), (model.jnt_dofadr, found.moment)):
+            into[int(address[joint])] = into.get(int(address[joint]), 0.0) + coefficient
+    return found

@@ -106,6 +106,21 @@ def is_passive_disabled(fields: Fields) -> bool:
     return fields.disables(bit.mjDSBL_SPRING) and fields.disables(bit.mjDSBL_DAMPER)
 
 
+def moved_by(model: mujoco.MjModel, body: int) -> tuple[int, ...]:
+    """The degrees of freedom that move the body, from the root on."""
+    while body and not model.body_dofnum[body]:
+        body = int(model.body_parentid[body])
+    if not body:
+        return ()
+    last = int(model.body_dofadr[body] + model.body_dofnum[body]) - 1
+    return (*_ancestors(model, last), last)
+
+
+def _ancestors(model: mujoco.MjModel, dof: int) -> tuple[int, ...]:
+    above = int(model.dof_parentid[dof])
+    return () if above < 0 else (*_ancestors(model, above), above)
+
+
 def _shares(fields: Fields) -> list[Number]:
     """By body: its share of its tree's mass. A tree without mass has its centre in its root."""
     roots = [int(root) for root in fields.model.body_rootid]
@@ -171,17 +186,12 @@ def _joint(fields: Fields, number: int) -> JointConstants:
 
 def _dof(fields: Fields, number: int) -> Dof:
     model = fields.model
-    ancestors = list[int]()
-    above = int(model.dof_parentid[number])
-    while above >= 0:
-        ancestors.insert(0, above)
-        above = int(model.dof_parentid[above])
     joint = int(model.dof_jntid[number])
     undamped = fields.disables(mujoco.mjtDisableBit.mjDSBL_DAMPER)
     low, high = _floats(model.jnt_actfrcrange[joint])
     return Dof(
         body=int(model.dof_bodyid[number]),
-        ancestors=tuple(ancestors),
+        ancestors=_ancestors(model, number),
         armature=fields.number("dof_armature", number),
         damping=0.0 if undamped else fields.number("dof_damping", number),
         actuator_range=(low, high) if model.jnt_actfrclimited[joint] else None,

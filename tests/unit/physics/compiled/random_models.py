@@ -34,6 +34,8 @@ def random_model(seed: int) -> str:
     _add(world, "geom", {"type": "plane", "size": "5 5 1", **_FLOOR, **_surface(draw)})
     joints = _add_bodies(draw, world)
     tendons = _add_tendons(draw, root, [name for name, kind in joints.items() if kind in _SCALAR])
+    # What was added later draws for itself: so the models before stay what they were.
+    tendons += _add_strings(Random(f"strings {seed}"), root)
     _add_actuators(draw, root, joints, tendons)
     _add_equalities(draw, root, [name for name, kind in joints.items() if kind in _SCALAR], tendons)
     return ElementTree.tostring(root, encoding="unicode")
@@ -64,6 +66,57 @@ def _add_tendons(draw: Random, root: ElementTree.Element, joints: Sequence[str])
         for joint in draw.sample(joints, draw.randint(1, min(3, len(joints)))):
             _add(tendon, "joint", {"joint": joint, "coef": _number(draw, 0.3, 2.0, signed=True)})
     return tendons
+
+
+def _add_strings(draw: Random, root: ElementTree.Element) -> list[str]:
+    """The names of the spatial tendons through the bodies, of half of the models."""
+    bodies, section = list(root.iter("body")), root.find("tendon")
+    assert section is not None
+    if _coin(draw) or len(bodies) < 2:
+        return []
+    for number, body in enumerate(bodies):
+        _add(body, "site", {"name": f"site {number}", "pos": _vector(draw, 3, 0.3)})
+        _add(body, "site", {"name": f"side {number}", "pos": [0.4, *_vector(draw, 2, 0.3)]})
+        size = [_number(draw, 0.05, 0.2), 0.1]
+        kind = draw.choice(["sphere", "cylinder"])
+        untouchable = {"contype": 0, "conaffinity": 0, "mass": 0.1}
+        _add(body, "geom", {"name": f"bend {number}", "type": kind, "size": size, **untouchable})
+    names = [f"string {number}" for number in range(draw.randint(1, 2))]
+    for name in names:
+        tendon = _add(section, "spatial", {"name": name, **_tendon(draw), "armature": None})
+        sites = draw.sample(range(len(bodies)), draw.randint(2, min(4, len(bodies))))
+        for site, following in zip(sites, [*sites[1:], None], strict=True):
+            _add(tendon, "site", {"site": f"site {site}"})
+            if following is not None and _coin(draw):
+                bend = draw.randrange(len(bodies))
+                side = _maybe_one(draw, [f"side {bend}"])
+                _add(tendon, "geom", {"geom": f"bend {bend}", "sidesite": side})
+    return names
+
+
+def random_strings(draw: Random) -> str:
+    """An MJCF document: strings round one sphere or cylinder, on either side of it and through it."""
+    names, kind = ("still", "own", "far"), draw.choice(["sphere", "cylinder"])
+    place = {name: {"name": name, "pos": _vector(draw, 3, 0.5)} for name in names}
+    root = ElementTree.Element("mujoco")
+    world, section = _add(root, "worldbody", {}), _add(root, "tendon", {})
+    body = _add(world, "body", {})
+    _add(body, "freejoint", {})
+    size = [_number(draw, 0.03, 0.3), 0.2]
+    at = {"pos": _vector(draw, 3, 0.1), "euler": _vector(draw, 3, 90.0)}
+    _add(body, "geom", {"name": "bend", "type": kind, "size": size, **at})
+    _add(body, "site", {"name": "side", "pos": _vector(draw, 3, draw.choice([0.1, 0.6]))})
+    other = _add(body, "body", {})
+    _add(other, "joint", {"type": "ball"})
+    _add(other, "geom", {"size": 0.1})
+    for parent, name in zip((world, body, other), names, strict=True):
+        _add(parent, "site", place[name])
+    for start, side in (("still", None), ("own", None), ("still", "side"), ("own", "side")):
+        tendon = _add(section, "spatial", {})
+        _add(tendon, "site", {"site": start})
+        _add(tendon, "geom", {"geom": "bend", "sidesite": side})
+        _add(tendon, "site", {"site": "far"})
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _add_actuators(

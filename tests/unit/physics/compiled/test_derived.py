@@ -28,19 +28,24 @@ SENSING = """
           <joint name="wrist" axis="1 2 0" pos="0.1 0 0" ref="20"/>
           <joint name="reach" type="slide" axis="0 1 1"/>
           <geom name="palm" type="capsule" size="0.05 0.2" mass="0.7"/>
-          <site name="tip" pos="0 0 0.3"/>
+          <geom name="palm ball" size="0.1" pos="0.2 0 0.3"/><site name="tip" pos="0 0 0.3"/>
         </body>
       </body>
     </body>
   </worldbody>
   <tendon>
     <fixed name="both"><joint joint="wrist" coef="0.5"/><joint joint="reach" coef="-2"/></fixed>
+    <spatial name="string">
+      <site site="lamp"/><geom geom="palm ball"/><site site="tip"/><site site="back"/></spatial>
   </tendon>
-  <actuator><motor name="pull" tendon="both" gear="3"/><motor name="turn" joint="wrist" gear="2"/></actuator>
+  <actuator><motor name="pull" tendon="both" gear="3"/><motor name="turn" joint="wrist" gear="2"/>
+    <motor name="string" tendon="string" gear="-3"/></actuator>
   <sensor>
     <jointpos joint="wrist"/> <jointvel joint="reach" cutoff="0.3"/> <ballquat joint="shoulder"/>
     <ballangvel joint="shoulder"/> <tendonpos tendon="both"/> <tendonvel tendon="both"/>
     <actuatorpos actuator="pull"/> <actuatorvel actuator="pull"/> <actuatorpos actuator="turn"/>
+    <tendonpos tendon="string"/> <tendonvel tendon="string"/>
+    <actuatorpos actuator="string"/> <actuatorvel actuator="string"/>
     <framepos objtype="xbody" objname="hand"/>
     <framepos objtype="geom" objname="palm" reftype="body" refname="trunk"/>
     <framequat objtype="site" objname="back"/>

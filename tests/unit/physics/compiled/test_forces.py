@@ -13,13 +13,13 @@ from core.environments.brittle_star.options import DirectedOptions
 from core.environments.dm_control.rodent.model import rodent_model
 from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.program.arithmetic import Vector, add
-from mujoco_compiled.smooth.actuation import ActuatorState, driven
+from mujoco_compiled.smooth.actuation import ActuatorState, actuator_stretches, driven
 from mujoco_compiled.smooth.dynamics import mass_matrix, motion, projected
 from mujoco_compiled.smooth.fluid import drag_forces
 from mujoco_compiled.smooth.forces import passive_forces, weight_held
 from mujoco_compiled.smooth.kinematics import poses
 from mujoco_compiled.smooth.spatial import rotation_vector
-from mujoco_compiled.smooth.tendons import tendon_forces, with_armature
+from mujoco_compiled.smooth.tendons import tendon_forces, tendon_stretches, with_armature
 from mujoco_compiled.substep import Model, SubstepState, control_step, read_model, substep
 
 NUM_STATES = 8
@@ -64,7 +64,7 @@ PULLED = """
   </actuator>
 </mujoco>
 """
-ROPE = '<spatial name="rope"><site site="a"/><site site="b"/></spatial>'
+ROPE = '<spatial name="rope" armature="1"><site site="a"/><site site="b"/></spatial>'
 
 
 def pulled(option: str = "", flag: str = "") -> mujoco.MjModel:
@@ -114,16 +114,18 @@ def forces_of(model: Model, state: SubstepState, ctrl: Vector) -> Forces:
     at = poses(tree, state.qpos)
     moving = motion(tree, at, state.qvel)
     held = weight_held(tree, at, moving)
+    stretches = tendon_stretches(tree, model.tendons, at, moving, state.qpos)
     passive = add(
-        passive_forces(tree, state.qpos, state.qvel), tendon_forces(model.tendons, state.qpos, state.qvel)
+        passive_forces(tree, state.qpos, state.qvel), tendon_forces(model.tendons, stretches, state.qvel)
     )
     passive = add(passive, projected(tree, moving, drag_forces(tree, model.fluid, at, moving)))
     for i, dof in enumerate(tree.dofs):
         passive[i] = passive[i] + (held[i] if held and not dof.holds_weight else 0.0)
-    own = ActuatorState(state.qpos, state.qvel, state.act, ctrl, held)
+    along = actuator_stretches(model.actuators, state.qpos, stretches)
+    own = ActuatorState(along, state.qvel, state.act, ctrl, held)
     done = driven(tree, model.actuators, own, model.timestep)
     mass = np.zeros((NUM_STATES, len(tree.dofs), len(tree.dofs)))
-    for (i, j), entry in with_armature(model.tendons, mass_matrix(tree, moving)).items():
+    for (i, j), entry in with_armature(model.tendons, stretches, mass_matrix(tree, moving)).items():
         mass[:, i, j] = mass[:, j, i] = entry
     return Forces(passive, done.on_dofs, done.act, mass)
 
@@ -168,7 +170,7 @@ def test_forces_are_mujoco_s(option: str, flag: str) -> None:
             '<fixed name="across" range="0 1" margin="1" ',
             "at both ends",
         ),
-        ("<tendon>", f"<tendon>{ROPE}", "'rope' is a spatial one"),
+        ("<tendon>", f"<tendon>{ROPE}", "'rope' is a spatial one and has an armature"),
         ('<velocity joint="shoulder"', '<position joint="shoulder"', "holds a joint with several axes"),
         ("<velocity joint", "<velocity jointinparent", "in its parent's frame"),
     ],

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from core.physics.model import brax_model
 from mujoco_compiled.program.arithmetic import Vector
-from mujoco_compiled.smooth.actuation import ActuatorState, driven, read_actuators
+from mujoco_compiled.smooth.actuation import ActuatorState, actuator_stretches, driven, read_actuators
 from mujoco_compiled.smooth.dynamics import Entries, bias_forces, mass_matrix, motion
 from mujoco_compiled.smooth.factor import factorize, multiply, solve
 from mujoco_compiled.smooth.forces import passive_forces
@@ -146,8 +146,10 @@ def test_the_factor_solves_and_multiplies(case: Case) -> None:
 def test_passive_and_actuator_forces_are_mujoco_s(case: Case) -> None:
     passive = passive_forces(case.tree, case.qpos, case.qvel)
     assert_close(stacked([passive])[:, 0], case.of_mujoco("qfrc_passive"))
-    state = ActuatorState(case.qpos, case.qvel, [], case.ctrl, [])
-    done = driven(case.tree, read_actuators(case.model), state, case.model.opt.timestep)
+    actuators = read_actuators(case.model)
+    along = actuator_stretches(actuators, case.qpos, ())
+    state = ActuatorState(along, case.qvel, [], case.ctrl, [])
+    done = driven(case.tree, actuators, state, case.model.opt.timestep)
     if done.forces:
         assert_close(stacked([done.forces])[:, 0], case.of_mujoco("actuator_force"))
     assert_close(stacked([done.on_dofs])[:, 0], case.of_mujoco("qfrc_actuator"))

@@ -1,0 +1,204 @@
+"""Spatial tendons: strings through sites and round geoms, whose moment arms change with the state.
+
+Source: MuJoCo's documentation, Modeling, "Tendon", and XML reference, "tendon/spatial".
+"""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mujoco_compiled.fields import Fields
+from mujoco_compiled.program.arithmetic import (
+    Number,
+    Vector,
+    add,
+    cross,
+    dot,
+    maximum,
+    product,
+    rotate,
+    rotation_matrix,
+    scale,
+    select,
+    sqrt,
+    subtract,
+    total,
+    transpose,
+)
+from mujoco_compiled.smooth.dynamics import Motion
+from mujoco_compiled.smooth.kinematics import Poses
+from mujoco_compiled.smooth.paths import Stretch
+from mujoco_compiled.smooth.tree import Tree, moved_by
+from mujoco_compiled.smooth.wrapping import Obstacle, wrap
+
+_SMALLEST = 1e-30
+
+
+@dataclass(frozen=True)
+class Point:
+    """A place on a body. position: [3] in the body's frame, in m."""
+
+    body: int
+    position: Vector
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A string between two sites. share: how much it counts of the tendon's length, less than 1 after a
+    pulley."""
+
+    start: Point
+    end: Point
+    around: Obstacle | None
+    share: float
+
+
+@dataclass(frozen=True)
+class Route:
+    """pulled: by degree of freedom that changes the length, those of the route's bodies that it moves."""
+
+    pieces: tuple[Piece, ...]
+    pulled: Mapping[int, tuple[int, ...]]
+
+    @property
+    def dofs(self) -> Collection[int]:
+        """The degrees of freedom that change the length."""
+        return self.pulled
+
+
+def read_route(fields: Fields, tendon: int) -> Route:
+    """The route of a spatial tendon."""
+    pieces = tuple(_pieces(fields, tendon))
+    bodies = sorted({body for piece in pieces for body in _bodies(piece)})
+    pulled = dict[int, list[int]]()
+    for body in bodies:
+        for dof in moved_by(fields.model, body):
+            pulled.setdefault(dof, []).append(body)
+    # One that moves the whole string does not change its length.
+    changing = {dof: tuple(moved) for dof, moved in sorted(pulled.items()) if len(moved) < len(bodies)}
+    return Route(pieces, changing)
+
+
+def route_stretch(tree: Tree, route: Route, at: Poses, moving: Motion) -> Stretch:
+    """The length, and its moment arms, from the forces of a tension of -1 N on the bodies."""
+    lengths, wrenches = list[Number](), dict[int, list[Vector]]()
+
+    def pull(body: int, place: Vector, force: Vector) -> None:
+        if body:
+            arm = subtract(place, moving.centres[tree.bodies[body].root])
+            wrenches.setdefault(body, []).append([*cross(arm, force), *force])
+
+    for piece in route.pieces:
+        start, end = _place(at, piece.start), _place(at, piece.end)
+        if piece.around is None:
+            way = subtract(end, start)
+            length = _length(way)
+            along = scale(way, piece.share / length)
+            pull(piece.start.body, start, scale(along, -1.0))
+            pull(piece.end.body, end, along)
+            lengths.append(piece.share * length)
+            continue
+        around, body = piece.around, piece.around.body
+        frame = product(at.rotations[body], around.rotation)
+        centre = add(at.positions[body], rotate(at.rotations[body], around.position))
+        into = transpose(frame)
+        found = wrap(around, rotate(into, subtract(start, centre)), rotate(into, subtract(end, centre)))
+        first, last = (add(centre, rotate(frame, place)) for place in (found.first, found.last))
+        before = subtract(_chosen(found.touches, first, end), start)
+        after = subtract(end, _chosen(found.touches, last, start))
+        lengths.append(
+            piece.share * (_length(before) + select(found.touches, found.length + _length(after), 0.0))
+        )
+        onward, away = (scale(way, piece.share / _length(way)) for way in (before, after))
+        pull(piece.start.body, start, scale(onward, -1.0))
+        pull(piece.end.body, end, away)
+        still = [0.0] * 3
+        pull(body, first, _chosen(found.touches, onward, still))
+        pull(body, last, _chosen(found.touches, scale(away, -1.0), still))
+    summed = {body: _sum(own) for body, own in wrenches.items()}
+    moment = {
+        dof: dot(moving.axes[dof], _sum([summed[body] for body in moved]))
+        for dof, moved in route.pulled.items()
+    }
+    return Stretch(total(lengths), moment)
+
+
+def _pieces(fields: Fields, tendon: int) -> Iterator[Piece]:
+    model, kinds = fields.model, mujoco.mjtWrap
+    share, start, around = 1.0, None, None
+    first = int(model.tendon_adr[tendon])
+    for place in range(first, first + int(model.tendon_num[tendon])):
+        number = int(model.wrap_objid[place])
+        match model.wrap_type[place]:
+            case kinds.mjWRAP_PULLEY:
+                share, start, around = 1.0 / float(model.wrap_prm[place]), None, None
+            case kinds.mjWRAP_SITE:
+                end = Point(int(model.site_bodyid[number]), _floats(model.site_pos[number]))
+                if start is not None:
+                    yield Piece(start, end, around, share)
+                start, around = end, None
+            case _:
+                around = _obstacle(fields, number, int(model.wrap_prm[place]))
+
+
+def _obstacle(fields: Fields, geom: int, side: int) -> Obstacle:
+    """side: the number of a site on the geom's body; -1 for none."""
+    model = fields.model
+    position, radius = fields.row("geom_pos", geom), fields.row("geom_size", geom)[0]
+    rotation = rotation_matrix(fields.row("geom_quat", geom))
+    place = None
+    if side >= 0:
+        place = rotate(transpose(rotation), subtract(_floats(model.site_pos[side]), position))
+    return Obstacle(
+        body=int(model.geom_bodyid[geom]),
+        position=position,
+        rotation=rotation,
+        radius=radius,
+        is_cylinder=model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER,
+        side=place,
+        is_ring=side >= 0 and is_inside(model, geom, side),
+    )
+
+
+def sides(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
+    """The geoms round which tendons wrap with a side site, and that site."""
+    kinds = mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER
+    for place in np.flatnonzero(np.isin(model.wrap_type, kinds)):
+        if model.wrap_prm[place] >= 0:
+            yield int(model.wrap_objid[place]), int(model.wrap_prm[place])
+
+
+def is_inside(model: mujoco.MjModel, geom: int, side: int) -> bool:
+    """Whether a site on a geom's body is nearer to the geom's centre than its radius."""
+    apart = model.site_pos[side] - model.geom_pos[geom]
+    return bool(apart @ apart < model.geom_size[geom, 0] ** 2)
+
+
+def _bodies(piece: Piece) -> Iterator[int]:
+    yield piece.start.body
+    yield piece.end.body
+    if piece.around is not None:
+        yield piece.around.body
+
+
+def _place(at: Poses, point: Point) -> Vector:
+    """[3] in the world."""
+    return add(at.positions[point.body], rotate(at.rotations[point.body], point.position))
+
+
+def _chosen(condition: Number, chosen: Vector, otherwise: Vector) -> Vector:
+    return [select(condition, x, y) for x, y in zip(chosen, otherwise, strict=True)]
+
+
+def _sum(vectors: Sequence[Vector]) -> Vector:
+    return [total(entries) for entries in zip(*vectors, strict=True)]
+
+
+def _length(vector: Vector) -> Number:
+    return sqrt(maximum(dot(vector, vector), _SMALLEST))
+
+
+def _floats(values: Iterable[float]) -> Vector:
+    return [float(x) for x in values]
