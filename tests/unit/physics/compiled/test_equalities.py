@@ -1,5 +1,7 @@
 """Equalities, which close loops and couple joints, against C MuJoCo."""
 
+from copy import copy
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -246,3 +248,24 @@ def test_limbs_share_a_program_unless_an_equality_tells_them_apart(more: str, nu
     lanes = control_step_in_lanes(plan, 2)
     assert lanes.num_lanes == num_lanes
     assert_moves_alike(plan, lanes)
+
+
+def test_environments_with_bodies_of_their_own_have_mujoco_s_rows() -> None:
+    model, generator = (
+        tied('<weld body1="box" body2="a"/><joint joint1="a" joint2="b"/>'),
+        np.random.default_rng(0),
+    )
+    datas = pulled_apart(model)
+    models = [copy(model) for _ in datas]
+    names = ("body_pos", "body_quat", "body_ipos", "body_invweight0", "dof_invweight0")
+    for one, data in zip(models, datas, strict=True):
+        for name in names:
+            values = getattr(one, name)
+            values *= generator.uniform(0.8, 1.2, size=values.shape)
+        one.body_quat[:] /= np.linalg.norm(one.body_quat, axis=1, keepdims=True)
+        mujoco.mj_forward(one, data)
+    assert_same_rows(model, datas, {name: own_of(models, name) for name in names})
+
+
+def own_of(models: list[mujoco.MjModel], name: str) -> list[np.ndarray]:
+    return list(np.stack([np.ravel(getattr(one, name)) for one in models], axis=1))
