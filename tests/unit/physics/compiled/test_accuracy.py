@@ -22,16 +22,10 @@ from core.physics.model import with_solver_of_compiled
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.program import Program
 from mujoco_compiled.substep import SubstepState, read_model, substep
+from mujoco_compiled.tests.states import Arrays, converge, of_all, relative_of_each, states
 from tests.extra import extra
 from tests.unit.physics.compiled.test_machine_code import run
-from tests.unit.physics.compiled.test_substep import (
-    Arrays,
-    converge,
-    of_all,
-    of_environment,
-    relative_of_each,
-    states,
-)
+from tests.unit.physics.compiled.test_substep import of_environment
 
 NUM_STATES = 512
 ROUNDING, ROUNDINGS = 2.0**-24, 16.0

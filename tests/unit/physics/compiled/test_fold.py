@@ -9,9 +9,10 @@ from mujoco_compiled.lanes.lane_constants import NotAlike
 from mujoco_compiled.lanes.limbs import find_limbs
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.program import Assign, Program, Statement
+from mujoco_compiled.tests.states import of_all, states
 from mujoco_compiled.write import Plan, control_step_in_lanes, control_step_program
 from tests.extra import extra
-from tests.unit.physics.compiled.test_substep import of_all, of_environment, states
+from tests.unit.physics.compiled.test_substep import of_environment
 
 _FIELDS = ("qpos", "qvel", "qacc_warmstart", "ctrl")
 

@@ -8,7 +8,7 @@ from mujoco_compiled.program.flow import needed, repeat, where_needed
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.program import Assign, Branch, Program
 from mujoco_compiled.substep import SubstepState, read_model, substep
-from tests.unit.physics.compiled.test_substep import converged, of_all, states
+from mujoco_compiled.tests.states import converged, of_all, states
 
 
 def operations(program: Program) -> list[str]:

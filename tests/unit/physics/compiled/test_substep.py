@@ -16,44 +16,23 @@ corridor      7.6e-13  3.5e-16  8.7e-14  3.4e-11
 from copy import copy
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import mujoco
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from core.environments import catalog
 from core.physics.choose import engine_builder
 from core.physics.engine import Engine, SolverSettings
-from core.physics.model import brax_model, initial_qpos
 from mujoco_compiled.substep import SubstepState, read_model
+from mujoco_compiled.tests.states import THOROUGH, converge, of_all, relative, states
 from tests.extra import extra
 from tests.unit.physics.compiled.recorded_substep import recorded
 
-NUM_STATES = 64
-# Our solver leaves no error with these. A line search may end within the solver's own tolerance, as the next
-# iteration goes on from there: below it, rounding alone would end most of them, after three times as long.
-THOROUGH: dict[str, Any] = {"iterations": 20, "line_search_iterations": 30, "line_search_tolerance": 1.0}
-Arrays = list[NDArray[np.float64]]
 # How joints are damped in training. Those that NumPy moves in a tenth of a second, and others.
 QUICK = {"ant": False, "half_cheetah": True, "hopper": True, "walker2d": True, "humanoid": False}
 LARGE = {"corridor": True, "rodent": True, "brittle_star": False}
 # The rodent takes ten minutes.
 SLOW = [pytest.mark.slow, pytest.mark.timeout(1800)]
-
-
-def converged(name: str, *, implicit_damping: bool) -> mujoco.MjModel:
-    return converge(brax_model(name), implicit_damping=implicit_damping)
-
-
-def converge(model: mujoco.MjModel, *, implicit_damping: bool) -> mujoco.MjModel:
-    """The model itself, with settings with which MuJoCo's solver leaves no error."""
-    model.opt.iterations, model.opt.ls_iterations = 100, 50
-    model.opt.tolerance, model.opt.ls_tolerance = 1e-15, 1e-6
-    if not implicit_damping:
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
-    return model
 
 
 @cache
@@ -74,41 +53,6 @@ def of_environment(name: str) -> tuple[mujoco.MjModel, SolverSettings | None]:
     info = catalog.find(name)
     catalog.make(info, info.options(), build)
     return kept[0]
-
-
-def states(model: mujoco.MjModel, num_states: int = NUM_STATES) -> list[mujoco.MjData]:
-    """As they come about where a body falls and writhes on the floor; each of them has contacts."""
-    generator, found = np.random.default_rng(0), list[mujoco.MjData]()
-    limited = model.actuator_ctrllimited.astype(bool)
-    low, high = np.where(limited, model.actuator_ctrlrange.T, [[-1.0], [1.0]])
-    while len(found) < num_states:
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:] = initial_qpos(model), 0.1 * generator.normal(size=model.nv)
-        for step in range(200 + 10 * NUM_STATES):
-            if step % 10 == 0:
-                share = 0.3 * generator.uniform(-0.5, 0.5, size=model.nu)
-                data.ctrl[:] = 0.5 * (low + high) + share * (high - low)
-            mujoco.mj_step(model, data)
-            if step >= 200 and step % 10 == 9 and data.ncon:
-                kept = mujoco.MjData(model)
-                mujoco.mj_copyData(kept, model, data)
-                found.append(kept)
-    return found[:num_states]
-
-
-def of_all(datas: list[mujoco.MjData], field: str) -> Arrays:
-    return list(np.stack([getattr(data, field) for data in datas], axis=1))
-
-
-def relative(ours: Arrays, theirs: Arrays) -> float:
-    """The largest relative error of a state's vector."""
-    return float(relative_of_each(ours, theirs).max())
-
-
-def relative_of_each(ours: Arrays, theirs: Arrays) -> NDArray[np.float64]:
-    """The relative error of each state's vector, [states]."""
-    apart = np.linalg.norm(np.stack(np.broadcast_arrays(*ours)) - np.stack(theirs), axis=0)
-    return apart / np.linalg.norm(np.stack(theirs), axis=0)
 
 
 @pytest.mark.parametrize(
