@@ -236,11 +236,15 @@ def _actuators(model: mujoco.MjModel) -> Iterator[str]:
     covered = (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT, kinds.mjTRN_TENDON)
     yield from where(model, "actuator", ~np.isin(targets, covered), "acts on neither a joint nor a tendon")
     gain, bias, dynamics = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
-    simple = np.isin(model.actuator_gaintype, (gain.mjGAIN_FIXED, gain.mjGAIN_AFFINE)) & np.isin(
-        model.actuator_biastype, (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE)
+    gains, biases = (
+        (gain.mjGAIN_FIXED, gain.mjGAIN_AFFINE, gain.mjGAIN_MUSCLE),
+        (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE, bias.mjBIAS_MUSCLE),
     )
-    yield from where(model, "actuator", ~simple, "is a muscle, a motor with dynamics or a user's own kind")
-    filters = dynamics.mjDYN_INTEGRATOR, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT
+    simple = np.isin(model.actuator_gaintype, gains) & np.isin(model.actuator_biastype, biases)
+    yield from where(model, "actuator", ~simple, "is a motor with dynamics or a user's own kind")
+    filters = (
+        dynamics.mjDYN_INTEGRATOR, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT, dynamics.mjDYN_MUSCLE
+    )  # fmt: skip
     known = np.isin(model.actuator_dyntype, (dynamics.mjDYN_NONE, *filters))
     several = (model.actuator_actnum > 1) | (model.actuator_ctrlnum != 1) | (model.actuator_outnum != 1)
     yield from where(model, "actuator", ~known | several, "has dynamics, inputs or outputs of its own kind")

@@ -12,6 +12,14 @@ import numpy as np
 
 from mujoco_compiled.fields import NOMINAL, Fields, Own, is_zero
 from mujoco_compiled.program.arithmetic import Number, Vector, clip, maximum, select
+from mujoco_compiled.smooth.muscles import (
+    Muscle,
+    MuscleDynamics,
+    activation_rate,
+    active_force,
+    passive_force,
+    read_muscle,
+)
 from mujoco_compiled.smooth.paths import Linear, Path, Slope, Stretch, stretch
 from mujoco_compiled.smooth.tendons import path_of, read_tendons
 from mujoco_compiled.smooth.tree import Range, Tree
@@ -20,10 +28,11 @@ from mujoco_compiled.smooth.tree import Range, Tree
 @dataclass(frozen=True)
 class ActivationConstants:
     """address: in act. share: of the way to the control that a filter goes in a timestep; None: an integrator
-    of the control. early: the force follows the activation after the timestep."""
+    of the control, or a muscle. early: the force follows the activation after the timestep."""
 
     address: int
     share: Number | None
+    muscle: MuscleDynamics | None
     range: Range | None
     early: bool
 
@@ -32,13 +41,13 @@ class ActivationConstants:
 class ActuatorConstants:
     """A force along a length: gain · (control or activation) + bias.
 
-    gain, bias: three coefficients each, of 1, of the length and of its rate. control_range, force_range: None
-    without bounds.
+    gain, bias: three coefficients each, of 1, of the length and of its rate, or a muscle's. control_range,
+    force_range: None without bounds.
     """
 
     path: Path
-    gain: Vector
-    bias: Vector
+    gain: Vector | Muscle
+    bias: Vector | Muscle
     activation: ActivationConstants | None
     control_range: Range | None
     force_range: Range | None
@@ -120,8 +129,17 @@ def _drive(
         after = _activated(activation, before, wanted, timestep)
         found.act[activation.address] = after
         wanted = after if activation.early else before
-    force = _affine(actuator.gain, length, rate) * wanted + _affine(actuator.bias, length, rate)
-    slope = actuator.bias[2] + actuator.gain[2] * wanted
+    gain, gain_slope = (
+        active_force(actuator.gain, length, rate)
+        if isinstance(actuator.gain, Muscle)
+        else _affine(actuator.gain, length, rate)
+    )
+    bias, bias_slope = (
+        (passive_force(actuator.bias, length), 0.0)
+        if isinstance(actuator.bias, Muscle)
+        else _affine(actuator.bias, length, rate)
+    )
+    force, slope = gain * wanted + bias, bias_slope + gain_slope * wanted
     if actuator.force_range:
         low, high = actuator.force_range
         if not is_zero(slope):
@@ -135,34 +153,49 @@ def _drive(
 
 def _activated(activation: ActivationConstants, before: Number, control: Number, timestep: float) -> Number:
     """The activation after the timestep."""
-    if activation.share is None:
+    if activation.muscle is not None:
+        after = before + timestep * activation_rate(activation.muscle, before, control)
+    elif activation.share is None:
         after = before + timestep * control
     else:
         after = before + activation.share * (control - before)
     return clip(after, *activation.range) if activation.range else after
 
 
-def _affine(coefficients: Vector, length: Number, rate: Number) -> Number:
+def _affine(coefficients: Vector, length: Number, rate: Number) -> tuple[Number, Number]:
+    """The value, and how it changes with the rate."""
     constant, of_length, of_rate = coefficients
-    return constant + of_length * length + of_rate * rate
+    return constant + of_length * length + of_rate * rate, of_rate
 
 
 def _actuator(fields: Fields, number: int) -> ActuatorConstants:
     model = fields.model
-    gain, bias = fields.row("actuator_gainprm", number), fields.row("actuator_biasprm", number)
-    affine_gain = model.actuator_gaintype[number] == mujoco.mjtGain.mjGAIN_AFFINE
-    affine_bias = model.actuator_biastype[number] == mujoco.mjtBias.mjBIAS_AFFINE
     clamps = not fields.disables(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
     limits_control = clamps and bool(model.actuator_ctrllimited[number])
     low, high = fields.row("actuator_forcerange", number)
     return ActuatorConstants(
         path=transmission(fields, number),
-        gain=gain[:3] if affine_gain else [gain[0], 0.0, 0.0],
-        bias=bias[:3] if affine_bias else [0.0] * 3,
+        gain=_gain(fields, number),
+        bias=_bias(fields, number),
         activation=_activation(fields, number) if model.actuator_actadr[number] >= 0 else None,
         control_range=_range(model.actuator_ctrlrange[number]) if limits_control else None,
         force_range=(low, high) if model.actuator_forcelimited[number] else None,
     )
+
+
+def _gain(fields: Fields, number: int) -> Vector | Muscle:
+    kinds, kind = mujoco.mjtGain, fields.model.actuator_gaintype[number]
+    if kind == kinds.mjGAIN_MUSCLE:
+        return read_muscle(fields, number, "actuator_gainprm")
+    gain = fields.row("actuator_gainprm", number)
+    return gain[:3] if kind == kinds.mjGAIN_AFFINE else [gain[0], 0.0, 0.0]
+
+
+def _bias(fields: Fields, number: int) -> Vector | Muscle:
+    kinds, kind = mujoco.mjtBias, fields.model.actuator_biastype[number]
+    if kind == kinds.mjBIAS_MUSCLE:
+        return read_muscle(fields, number, "actuator_biasprm")
+    return fields.row("actuator_biasprm", number)[:3] if kind == kinds.mjBIAS_AFFINE else [0.0] * 3
 
 
 def transmission(fields: Fields, number: int) -> Path:
@@ -182,13 +215,17 @@ def _activation(fields: Fields, number: int) -> ActivationConstants:
     timestep = float(model.opt.timestep)
     time_constant = fields.number("actuator_dynprm", number)
     share: Number | None = None
+    muscle: MuscleDynamics | None = None
     if model.actuator_dyntype[number] == dynamics.mjDYN_FILTER:
         share = timestep / maximum(time_constant, mujoco.mjMINVAL)
     elif model.actuator_dyntype[number] == dynamics.mjDYN_FILTEREXACT:
         share = 1.0 - exp(-timestep / max(time_constant, mujoco.mjMINVAL))
+    elif model.actuator_dyntype[number] == dynamics.mjDYN_MUSCLE:
+        muscle = MuscleDynamics(*fields.row("actuator_dynprm", number)[:3])
     return ActivationConstants(
         address=int(model.actuator_actadr[number]),
         share=share,
+        muscle=muscle,
         range=_range(model.actuator_actrange[number]) if model.actuator_actlimited[number] else None,
         early=bool(model.actuator_actearly[number]),
     )

@@ -37,6 +37,7 @@ def random_model(seed: int) -> str:
     # What was added later draws for itself: so the models before stay what they were.
     tendons += _add_strings(Random(f"strings {seed}"), root)
     _add_actuators(draw, root, joints, tendons)
+    _add_muscles(Random(f"muscles {seed}"), root, joints, tendons)
     _add_equalities(draw, root, [name for name, kind in joints.items() if kind in _SCALAR], tendons)
     return ElementTree.tostring(root, encoding="unicode")
 
@@ -92,6 +93,29 @@ def _add_strings(draw: Random, root: ElementTree.Element) -> list[str]:
                 side = _maybe_one(draw, [f"side {bend}"])
                 _add(tendon, "geom", {"geom": f"bend {bend}", "sidesite": side})
     return names
+
+
+def _add_muscles(
+    draw: Random, root: ElementTree.Element, joints: Mapping[str, str], tendons: Sequence[str]
+) -> None:
+    """To half of the models."""
+    section = root.find("actuator")
+    assert section is not None
+    targets = [*(("tendon", name) for name in tendons)]
+    targets += [("joint", name) for name, kind in joints.items() if kind in _SCALAR]
+    for _ in range(draw.randint(1, 2) if targets and _coin(draw) else 0):
+        on, target = draw.choice(targets)
+        muscle = {
+            "lengthrange": _range(draw, 0.8),
+            "force": _number(draw, 1.0, 20.0),
+            "timeconst": [_number(draw, 0.01, 0.05), _number(draw, 0.02, 0.1)],
+            "tausmooth": _maybe_number(draw, 0.0, 0.5),
+            "lmin": _maybe_number(draw, 0.2, 0.7),
+            "vmax": _maybe_number(draw, 1.0, 8.0),
+            "fvmax": _maybe_number(draw, 1.0, 1.6),
+            "gear": _maybe_number(draw, -2.0, 2.0),
+        }
+        _add(section, "muscle", {on: target, **muscle})
 
 
 def random_strings(draw: Random) -> str:

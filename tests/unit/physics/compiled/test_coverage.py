@@ -48,10 +48,6 @@ def test_a_plain_body_is_covered() -> None:
             {"geom": "ellipsoid", "joint": 'limited="true" range="-1 1" solimplimit="0.9 0.95 0.1 0.5 2.2"'},
             "'hip'",
         ),
-        (
-            {"actuator": 'gaintype="muscle" gainprm="0.7 1 1 2 0.5 1.6 1.5 1.3 1.2" lengthrange="0 1"'},
-            "muscle",
-        ),
         ({"joint": 'damping="1 0.5"'}, "'hip'"),
         (
             {"option": 'integrator="implicitfast" density="1"'},
