@@ -233,8 +233,8 @@ def _actuators(model: mujoco.MjModel) -> Iterator[str]:
     if not model.nactuator:
         return
     kinds, targets = mujoco.mjtTrn, model.actuator_trntype
-    covered = (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT, kinds.mjTRN_TENDON)
-    yield from where(model, "actuator", ~np.isin(targets, covered), "acts on neither a joint nor a tendon")
+    bodies = targets == kinds.mjTRN_BODY
+    yield from where(model, "actuator", bodies, "acts on a body, which it makes stick")
     gain, bias, dynamics = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
     gains, biases = (
         (gain.mjGAIN_FIXED, gain.mjGAIN_AFFINE, gain.mjGAIN_MUSCLE),

@@ -3,7 +3,7 @@
 Source: MuJoCo's documentation, Computation, "Simulation pipeline" and "Numerical integration".
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -35,7 +35,7 @@ from mujoco_compiled.smooth.actuation import (
     ActuatorConstants,
     ActuatorState,
     Driven,
-    actuator_stretches,
+    actuator_stretch,
     driven,
     read_actuators,
 )
@@ -46,14 +46,14 @@ from mujoco_compiled.smooth.forces import passive_forces, weight_held
 from mujoco_compiled.smooth.integration import Implicit, add_slopes, implicit_inertia, integrated
 from mujoco_compiled.smooth.kinematics import poses
 from mujoco_compiled.smooth.lone_bodies import lone_accelerations, read_lone_bodies
-from mujoco_compiled.smooth.paths import Stretch
+from mujoco_compiled.smooth.paths import Posture
 from mujoco_compiled.smooth.tendons import (
     Tendon,
     read_tendons,
     tendon_forces,
     tendon_slopes,
-    tendon_stretches,
     with_armature,
+    with_tendons,
 )
 from mujoco_compiled.smooth.tree import Tree, read_tree
 
@@ -169,11 +169,9 @@ def readings_by_sensor(model: Model, moved: Moved) -> Mapping[int, Vector]:
     found = {one.number: [next(left)] for one in model.touch_sensors}
     found |= {one.number: list(islice(left, 3 if one.frame else 1)) for one in model.force_sensors}
     if model.contact_sensors:
-        at = poses(model.tree, moved.qpos)
-        moving = motion(model.tree, at, moved.qvel)
-        stretches = tendon_stretches(model.tree, model.tendons, at, moving, moved.qpos)
-        state = ConstraintState(moved.qpos, moved.qvel, stretches)
-        rows = constraint_rows(model.tree, model.constraints, at, moving, state)
+        now = _posture(model, moved.qpos, moved.qvel)
+        state = ConstraintState(moved.qpos, moved.qvel, now.tendons)
+        rows = constraint_rows(model.tree, model.constraints, now.at, now.moving, state)
         counted = numbers_touching(model.contact_sensors, model.constraints.contacts, rows)
         pairs = zip(model.contact_sensors, counted, strict=True)
         found |= {one.number: [number] for one, number in pairs}
@@ -194,12 +192,11 @@ def with_sensors(read: Model, model: mujoco.MjModel) -> Model:
 def _problem(model: Model, state: SubstepState, ctrl: Vector) -> tuple[SolverProblem, Instant]:
     """The solver's problem in this state, and the state with the forces of the actuators."""
     tree = model.tree
-    at = poses(tree, state.qpos)
-    moving = motion(tree, at, state.qvel)
-    stretches = tendon_stretches(tree, model.tendons, at, moving, state.qpos)
+    posture = _posture(model, state.qpos, state.qvel)
+    at, moving, stretches = posture.at, posture.moving, posture.tendons
     mass = with_armature(model.tendons, stretches, mass_matrix(tree, moving))
     held = weight_held(tree, at, moving)
-    now = Instant(tree, at, moving, state.qvel, stretches, _driven(model, state, ctrl, stretches, held))
+    now = Instant(tree, at, moving, state.qvel, stretches, _driven(model, state, ctrl, posture, held))
     force = _smooth_forces(model, state, now, held)
     free = solve(tree, factorize(tree, mass), force)
     rows = constraint_rows(
@@ -225,11 +222,14 @@ def _implicit(fields: Fields, tree: Tree) -> Implicit:
     return "damping" if damped and not fields.disables(mujoco.mjtDisableBit.mjDSBL_EULERDAMP) else "nothing"
 
 
-def _driven(
-    model: Model, state: SubstepState, ctrl: Vector, stretches: Sequence[Stretch], held: Vector
-) -> Driven:
+def _posture(model: Model, qpos: Vector, qvel: Vector) -> Posture:
+    at = poses(model.tree, qpos)
+    return with_tendons(Posture(model.tree, at, motion(model.tree, at, qvel), qpos), model.tendons)
+
+
+def _driven(model: Model, state: SubstepState, ctrl: Vector, posture: Posture, held: Vector) -> Driven:
     """What the actuators do."""
-    along = actuator_stretches(model.actuators, state.qpos, stretches)
+    along = [actuator_stretch(actuator.path, posture) for actuator in model.actuators]
     own = ActuatorState(along, state.qvel, state.act, ctrl, held)
     return driven(model.tree, model.actuators, own, model.timestep)
 

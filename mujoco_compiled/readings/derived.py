@@ -32,7 +32,7 @@ _COMPUTED: Mapping[str, Callable[[Scene], Vector]] = {
     "sensordata": sensor_values,
     "site_xpos": lambda scene: _positions(scene, mujoco.mjtObj.mjOBJ_SITE, scene.fields.model.nsite),
     "subtree_com": lambda scene: _flat(scene.means(scene.poses.centres)),
-    "ten_length": lambda scene: [one.length for one in scene.stretches],
+    "ten_length": lambda scene: [one.length for one in scene.posture.tendons],
     "xmat": lambda scene: _flat([_flat(rotation) for rotation in scene.poses.rotations]),
     "xpos": lambda scene: _flat(scene.poses.positions),
     "xquat": lambda scene: _flat(scene.poses.quaternions),

@@ -23,8 +23,8 @@ from mujoco_compiled.program.arithmetic import (
 )
 from mujoco_compiled.smooth.dynamics import Motion, motion
 from mujoco_compiled.smooth.kinematics import Poses, poses
-from mujoco_compiled.smooth.paths import Stretch
-from mujoco_compiled.smooth.tendons import read_tendons, tendon_stretches
+from mujoco_compiled.smooth.paths import Posture
+from mujoco_compiled.smooth.tendons import read_tendons, with_tendons
 from mujoco_compiled.smooth.tree import Tree, read_tree
 
 NO_READINGS: Mapping[int, Vector] = {}
@@ -59,10 +59,9 @@ class Scene:
         return read_tree(self.fields.model, self.fields.own)
 
     @cached_property
-    def stretches(self) -> list[Stretch]:
-        """Of the tendons."""
+    def posture(self) -> Posture:
         tendons = read_tendons(self.fields.model, self.fields.own)
-        return tendon_stretches(self.tree, tendons, self.poses, self.motion, self.qpos)
+        return with_tendons(Posture(self.tree, self.poses, self.motion, self.qpos), tendons)
 
     @cached_property
     def poses(self) -> Poses:

@@ -23,8 +23,7 @@ from mujoco_compiled.program.arithmetic import (
 from mujoco_compiled.readings.contact_sensors import KINDS as CONTACT_KINDS
 from mujoco_compiled.readings.force_sensors import KINDS as FORCE_KINDS
 from mujoco_compiled.readings.scene import Frame, Scene
-from mujoco_compiled.smooth.actuation import transmission
-from mujoco_compiled.smooth.paths import stretch
+from mujoco_compiled.smooth.actuation import actuator_stretch, transmission
 from mujoco_compiled.smooth.spatial import conjugate
 
 _Kind = mujoco.mjtSensor
@@ -91,9 +90,9 @@ def _joint(scene: Scene, sensor: SensorConstants) -> Vector:
 def _length(scene: Scene, sensor: SensorConstants) -> Vector:
     """The length of a tendon or an actuator, or its rate."""
     if sensor.kind in (_Kind.mjSENS_TENDONPOS, _Kind.mjSENS_TENDONVEL):
-        found = scene.stretches[sensor.object]
+        found = scene.posture.tendons[sensor.object]
     else:
-        found = stretch(transmission(scene.fields, sensor.object), scene.qpos, scene.stretches)
+        found = actuator_stretch(transmission(scene.fields, sensor.object), scene.posture)
     reads_length = sensor.kind in (_Kind.mjSENS_TENDONPOS, _Kind.mjSENS_ACTUATORPOS)
     return [found.length if reads_length else found.rate(scene.qvel)]
 

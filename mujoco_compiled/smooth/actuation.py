@@ -20,9 +20,12 @@ from mujoco_compiled.smooth.muscles import (
     passive_force,
     read_muscle,
 )
-from mujoco_compiled.smooth.paths import Linear, Path, Slope, Stretch, stretch
+from mujoco_compiled.smooth.paths import Linear, Path, Posture, Slope, Stretch, stretch
+from mujoco_compiled.smooth.sites import AtSite, ByCrank, crank_stretch, read_site_path, site_stretch
 from mujoco_compiled.smooth.tendons import path_of, read_tendons
 from mujoco_compiled.smooth.tree import Range, Tree
+
+ActuatorPath = Path | AtSite | ByCrank
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class ActuatorConstants:
     force_range: None without bounds.
     """
 
-    path: Path
+    path: ActuatorPath
     gain: Vector | Muscle
     bias: Vector | Muscle
     activation: ActivationConstants | None
@@ -89,11 +92,15 @@ def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[ActuatorC
     return tuple(_actuator(fields, number) for number in range(model.nactuator))
 
 
-def actuator_stretches(
-    actuators: Sequence[ActuatorConstants], qpos: Vector, tendons: Sequence[Stretch]
-) -> list[Stretch]:
-    """By actuator. tendons: the stretches of the model's tendons."""
-    return [stretch(actuator.path, qpos, tendons) for actuator in actuators]
+def actuator_stretch(path: ActuatorPath, posture: Posture) -> Stretch:
+    """Of what an actuator acts along. posture: with the tendons' stretches."""
+    match path:
+        case AtSite():
+            return site_stretch(path, posture)
+        case ByCrank():
+            return crank_stretch(path, posture)
+        case _:
+            return stretch(path, posture.qpos, posture.tendons)
 
 
 def driven(
@@ -198,9 +205,11 @@ def _bias(fields: Fields, number: int) -> Vector | Muscle:
     return fields.row("actuator_biasprm", number)[:3] if kind == kinds.mjBIAS_AFFINE else [0.0] * 3
 
 
-def transmission(fields: Fields, number: int) -> Path:
+def transmission(fields: Fields, number: int) -> ActuatorPath:
     """What an actuator acts along."""
     model, target = fields.model, int(fields.model.actuator_trnid[number, 0])
+    if np.isin(model.actuator_trntype[number], (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK)):
+        return read_site_path(fields, number)
     gear = fields.row("actuator_gear", number)
     if model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_TENDON:
         return path_of(read_tendons(model, fields.own)[target], target, gear[0])

@@ -3,7 +3,7 @@
 Source: MuJoCo's documentation, Modeling, "Tendon", and XML reference, "tendon/spatial".
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -14,7 +14,6 @@ from mujoco_compiled.program.arithmetic import (
     Number,
     Vector,
     add,
-    cross,
     dot,
     maximum,
     product,
@@ -27,10 +26,8 @@ from mujoco_compiled.program.arithmetic import (
     total,
     transpose,
 )
-from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
-from mujoco_compiled.smooth.paths import Stretch
-from mujoco_compiled.smooth.tree import Tree, moved_by
+from mujoco_compiled.smooth.paths import Posture, Stretch, lever_arms, moved_alone, wrench
 from mujoco_compiled.smooth.wrapping import Obstacle, wrap
 
 _SMALLEST = 1e-30
@@ -57,7 +54,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Route:
-    """pulled: by degree of freedom that changes the length, those of the route's bodies that it moves."""
+    """pulled: see `moved_alone`."""
 
     pieces: tuple[Piece, ...]
     pulled: Mapping[int, tuple[int, ...]]
@@ -71,24 +68,15 @@ class Route:
 def read_route(fields: Fields, tendon: int) -> Route:
     """The route of a spatial tendon."""
     pieces = tuple(_pieces(fields, tendon))
-    bodies = sorted({body for piece in pieces for body in _bodies(piece)})
-    pulled = dict[int, list[int]]()
-    for body in bodies:
-        for dof in moved_by(fields.model, body):
-            pulled.setdefault(dof, []).append(body)
-    # One that moves the whole string does not change its length.
-    changing = {dof: tuple(moved) for dof, moved in sorted(pulled.items()) if len(moved) < len(bodies)}
-    return Route(pieces, changing)
+    return Route(pieces, moved_alone(fields.model, (body for piece in pieces for body in _bodies(piece))))
 
 
-def route_stretch(tree: Tree, route: Route, at: Poses, moving: Motion) -> Stretch:
+def route_stretch(route: Route, posture: Posture) -> Stretch:
     """The length, and its moment arms, from the forces of a tension of -1 N on the bodies."""
-    lengths, wrenches = list[Number](), dict[int, list[Vector]]()
+    at, lengths, wrenches = posture.at, list[Number](), list[tuple[int, Vector]]()
 
     def pull(body: int, place: Vector, force: Vector) -> None:
-        if body:
-            arm = subtract(place, moving.centres[tree.bodies[body].root])
-            wrenches.setdefault(body, []).append([*cross(arm, force), *force])
+        wrenches.append((body, wrench(posture, body, place, force, [0.0] * 3)))
 
     for piece in route.pieces:
         start, end = _place(at, piece.start), _place(at, piece.end)
@@ -117,12 +105,7 @@ def route_stretch(tree: Tree, route: Route, at: Poses, moving: Motion) -> Stretc
         still = [0.0] * 3
         pull(body, first, _chosen(found.touches, onward, still))
         pull(body, last, _chosen(found.touches, scale(away, -1.0), still))
-    summed = {body: _sum(own) for body, own in wrenches.items()}
-    moment = {
-        dof: dot(moving.axes[dof], _sum([summed[body] for body in moved]))
-        for dof, moved in route.pulled.items()
-    }
-    return Stretch(total(lengths), moment)
+    return Stretch(total(lengths), lever_arms(route.pulled, posture, wrenches))
 
 
 def _pieces(fields: Fields, tendon: int) -> Iterator[Piece]:
@@ -190,10 +173,6 @@ def _place(at: Poses, point: Point) -> Vector:
 
 def _chosen(condition: Number, chosen: Vector, otherwise: Vector) -> Vector:
     return [select(condition, x, y) for x, y in zip(chosen, otherwise, strict=True)]
-
-
-def _sum(vectors: Sequence[Vector]) -> Vector:
-    return [total(entries) for entries in zip(*vectors, strict=True)]
 
 
 def _length(vector: Vector) -> Number:

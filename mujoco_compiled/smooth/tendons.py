@@ -5,17 +5,25 @@ Source: MuJoCo's documentation, Modeling, "Tendon", and Computation, "Passive fo
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 
 from mujoco_compiled.fields import NOMINAL, Fields, Own
 from mujoco_compiled.program.arithmetic import Number, Vector, clip
-from mujoco_compiled.smooth.dynamics import Entries, Motion
-from mujoco_compiled.smooth.kinematics import Poses
-from mujoco_compiled.smooth.paths import Coefficients, Linear, OfTendon, Path, Slope, Stretch, stretch
+from mujoco_compiled.smooth.dynamics import Entries
+from mujoco_compiled.smooth.paths import (
+    Coefficients,
+    Linear,
+    OfTendon,
+    Path,
+    Posture,
+    Slope,
+    Stretch,
+    stretch,
+)
 from mujoco_compiled.smooth.routes import Route, read_route, route_stretch
-from mujoco_compiled.smooth.tree import Range, Tree
+from mujoco_compiled.smooth.tree import Range
 
 
 @dataclass(frozen=True)
@@ -45,16 +53,15 @@ def path_of(tendon: Tendon, number: int, gear: Number = 1.0) -> Path:
     return Linear(of_positions, moment)
 
 
-def tendon_stretches(
-    tree: Tree, tendons: Sequence[Tendon], at: Poses, moving: Motion, qpos: Vector
-) -> list[Stretch]:
-    """By tendon."""
-    return [
-        route_stretch(tree, tendon.path, at, moving)
+def with_tendons(posture: Posture, tendons: Sequence[Tendon]) -> Posture:
+    """The posture with the stretches of the tendons."""
+    stretches = [
+        route_stretch(tendon.path, posture)
         if isinstance(tendon.path, Route)
-        else stretch(tendon.path, qpos, ())
+        else stretch(tendon.path, posture.qpos, ())
         for tendon in tendons
     ]
+    return replace(posture, tendons=stretches)
 
 
 def tendon_forces(tendons: Sequence[Tendon], stretches: Sequence[Stretch], qvel: Vector) -> Vector:

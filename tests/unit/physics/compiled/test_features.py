@@ -23,7 +23,6 @@ REFUSED = {
     "height_field": "its geoms 'ground' and number 2 can touch: a hfield and a sphere",
     "mesh_feet": "its geoms 'floor' and number 3 can touch: a plane and a mesh",
     "mocap": "it has a mocap body",
-    "site_motors": "its actuator number 0 acts on neither a joint nor a tendon",
 }
 NAMES = sorted(file.stem for file in FOLDER.iterdir())
 

@@ -13,13 +13,14 @@ from core.environments.brittle_star.options import DirectedOptions
 from core.environments.dm_control.rodent.model import rodent_model
 from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.program.arithmetic import Vector, add
-from mujoco_compiled.smooth.actuation import ActuatorState, actuator_stretches, driven
+from mujoco_compiled.smooth.actuation import ActuatorState, actuator_stretch, driven
 from mujoco_compiled.smooth.dynamics import mass_matrix, motion, projected
 from mujoco_compiled.smooth.fluid import drag_forces
 from mujoco_compiled.smooth.forces import passive_forces, weight_held
 from mujoco_compiled.smooth.kinematics import poses
+from mujoco_compiled.smooth.paths import Posture
 from mujoco_compiled.smooth.spatial import rotation_vector
-from mujoco_compiled.smooth.tendons import tendon_forces, tendon_stretches, with_armature
+from mujoco_compiled.smooth.tendons import tendon_forces, with_armature, with_tendons
 from mujoco_compiled.substep import Model, SubstepState, control_step, read_model, substep
 
 NUM_STATES = 8
@@ -114,18 +115,19 @@ def forces_of(model: Model, state: SubstepState, ctrl: Vector) -> Forces:
     at = poses(tree, state.qpos)
     moving = motion(tree, at, state.qvel)
     held = weight_held(tree, at, moving)
-    stretches = tendon_stretches(tree, model.tendons, at, moving, state.qpos)
+    posture = with_tendons(Posture(tree, at, moving, state.qpos), model.tendons)
     passive = add(
-        passive_forces(tree, state.qpos, state.qvel), tendon_forces(model.tendons, stretches, state.qvel)
+        passive_forces(tree, state.qpos, state.qvel),
+        tendon_forces(model.tendons, posture.tendons, state.qvel),
     )
     passive = add(passive, projected(tree, moving, drag_forces(tree, model.fluid, at, moving)))
     for i, dof in enumerate(tree.dofs):
         passive[i] = passive[i] + (held[i] if held and not dof.holds_weight else 0.0)
-    along = actuator_stretches(model.actuators, state.qpos, stretches)
+    along = [actuator_stretch(actuator.path, posture) for actuator in model.actuators]
     own = ActuatorState(along, state.qvel, state.act, ctrl, held)
     done = driven(tree, model.actuators, own, model.timestep)
     mass = np.zeros((NUM_STATES, len(tree.dofs), len(tree.dofs)))
-    for (i, j), entry in with_armature(model.tendons, stretches, mass_matrix(tree, moving)).items():
+    for (i, j), entry in with_armature(model.tendons, posture.tendons, mass_matrix(tree, moving)).items():
         mass[:, i, j] = mass[:, j, i] = entry
     return Forces(passive, done.on_dofs, done.act, mass)
 
@@ -219,6 +221,48 @@ def test_forces_on_real_bodies_are_mujoco_s(build: Callable[[], mujoco.MjModel])
     """The rodent has actuators with activations on tendons, the brittle star is in a fluid."""
     model = build()
     assert_forces_are_mujoco_s(model, random_states(model, 0.1))
+
+
+SITES = """
+<mujoco>
+  <option {option}/>
+  <default><geom contype="0" conaffinity="0"/></default>
+  <worldbody>
+    <site name="still" pos="1 2 3" euler="20 30 40"/>
+    <body pos="0 0 1"><freejoint/><geom type="box" size="0.1 0.2 0.3"/>
+      <site name="back" pos="0.1 0.2 0.3" euler="50 0 10"/><site name="rail" pos="0.3 0 0" euler="0 60 10"/>
+      <body pos="0.2 0.1 0"><joint type="ball"/><geom type="capsule" size="0.1 0.2"/>
+        <site name="elbow" pos="0.1 0 0.2" euler="0 20 70"/>
+        <body pos="0 0 0.4"><joint axis="1 2 0" armature="0.1"/><geom type="capsule" size="0.05 0.2"/>
+          <site name="tip" pos="0 0.1 0.3" euler="20 0 50"/></body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor site="tip" gear="1 2 3 0.4 0.5 0.6"/> <velocity site="elbow" gear="1 0 2 0 0.5 0" kv="0.3"/>
+    <position site="tip" refsite="back" gear="1 -2 0.5 0 0 0" kp="4" kv="0.2"/>
+    <position site="tip" refsite="still" gear="0 0 0 0.5 -0.3 0.2" kp="2"/>
+    <general site="elbow" refsite="tip" gear="1 0.5 0 0.2 0 0.1" gaintype="affine" gainprm="1 2 -0.5"/>
+    <position cranksite="tip" slidersite="rail" cranklength="2" gear="0.7" kp="3" kv="0.5"/>
+    <position cranksite="elbow" slidersite="rail" cranklength="0.2" gear="1.5" kp="3"/>
+  </actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("option", ["", 'integrator="implicitfast"'])
+def test_actuators_on_sites_are_mujoco_s(option: str) -> None:
+    model = mujoco.MjModel.from_xml_string(SITES.format(option=option))
+    assert uncovered(model) is None
+    datas = random_states(model, 0.5)
+    ours, state, ctrl = read_model(model), state_of(datas), of_all(datas, "ctrl")
+    assert_forces_are_mujoco_s(model, datas)
+    moved = control_step(ours, 10, state, ctrl)
+    for _ in range(9):
+        for data in datas:
+            mujoco.mj_step(model, data)
+    for field in ("qpos", "qvel"):
+        assert_close(getattr(moved, field), of_all(datas, field), 1e-9)
 
 
 def test_a_rotation_s_vector_is_mujoco_s() -> None:

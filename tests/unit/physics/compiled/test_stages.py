@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from core.physics.model import brax_model
 from mujoco_compiled.program.arithmetic import Vector
-from mujoco_compiled.smooth.actuation import ActuatorState, actuator_stretches, driven, read_actuators
+from mujoco_compiled.smooth.actuation import ActuatorState, actuator_stretch, driven, read_actuators
 from mujoco_compiled.smooth.dynamics import Entries, bias_forces, mass_matrix, motion
 from mujoco_compiled.smooth.factor import factorize, multiply, solve
 from mujoco_compiled.smooth.forces import passive_forces
 from mujoco_compiled.smooth.kinematics import poses
+from mujoco_compiled.smooth.paths import Posture
 from mujoco_compiled.smooth.tree import Tree, read_tree
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
 
@@ -147,7 +148,9 @@ def test_passive_and_actuator_forces_are_mujoco_s(case: Case) -> None:
     passive = passive_forces(case.tree, case.qpos, case.qvel)
     assert_close(stacked([passive])[:, 0], case.of_mujoco("qfrc_passive"))
     actuators = read_actuators(case.model)
-    along = actuator_stretches(actuators, case.qpos, ())
+    at = poses(case.tree, case.qpos)
+    posture = Posture(case.tree, at, motion(case.tree, at, case.qvel), case.qpos)
+    along = [actuator_stretch(actuator.path, posture) for actuator in actuators]
     state = ActuatorState(along, case.qvel, [], case.ctrl, [])
     done = driven(case.tree, actuators, state, case.model.opt.timestep)
     if done.forces:

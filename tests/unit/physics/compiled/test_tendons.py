@@ -13,7 +13,8 @@ from mujoco_compiled.coverage import uncovered, uncovered_own
 from mujoco_compiled.program.arithmetic import Vector
 from mujoco_compiled.smooth.dynamics import motion
 from mujoco_compiled.smooth.kinematics import poses
-from mujoco_compiled.smooth.tendons import read_tendons, tendon_stretches
+from mujoco_compiled.smooth.paths import Posture
+from mujoco_compiled.smooth.tendons import read_tendons, with_tendons
 from mujoco_compiled.smooth.tree import read_tree
 from mujoco_compiled.substep import read_model
 from mujoco_compiled.tests.states import THOROUGH, converge
@@ -97,7 +98,8 @@ def errors(model: mujoco.MjModel, num_states: int = NUM_STATES) -> Iterator[tupl
     at = poses(tree, qpos)
     moving = motion(tree, at, of_all(datas, "qvel"))
     theirs = np.stack([moment_arms(model, data) for data in datas])
-    for number, ours in enumerate(tendon_stretches(tree, read_tendons(model), at, moving, qpos)):
+    posture = with_tendons(Posture(tree, at, moving, qpos), read_tendons(model))
+    for number, ours in enumerate(posture.tendons):
         lengths = np.array([data.ten_length[number] for data in datas])
         arms = [ours.moment.get(dof, 0.0) - theirs[:, number, dof] for dof in range(model.nv)]
         straight = np.min([data.ten_wrapnum[number] for data in datas])
