@@ -98,6 +98,8 @@ def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
         rough = _uncomputable(model.dof_solimp)
         yield from (f"{name}: {reason}" for reason in where(model, "joint", rough, _CURVE, model.dof_jntid))
     if name in ("body_pos", "body_quat"):
+        mocap = model.body_mocapid >= 0
+        yield from (f"{name}: {reason}" for reason in where(model, "body", mocap, "is a mocap body"))
         yield from (f"{name}: {reason}" for reason in _touched_where_they_are(model))
     if name in GEOMETRY and len(fixed_boxes(model)) > 1 and not says_spacing(model):
         yield f"{name}: the model does not say how far apart its boxes stay (`box_spacing`)"
@@ -117,7 +119,7 @@ def _touched_where_they_are(model: mujoco.MjModel) -> Iterator[str]:
     """The first body, but the world, that never moves but can be touched: its place is a constant."""
     for pair in read_pairs(Fields(model)):
         for body in (int(body) for body in model.geom_bodyid[[pair.one, pair.other]]):
-            if body and not model.body_weldid[body]:
+            if body and model.body_treeid[body] < 0:
                 yield f"its body {named(model, 'body', body)} stands still and can be touched"
 
 
@@ -155,8 +157,6 @@ def _parts(model: mujoco.MjModel) -> Iterator[str]:
     """Kinds of parts of which the stages know none."""
     if model.nflex:
         yield f"it has a flexible body, {named(model, 'flex', 0)}"
-    if model.nmocap:
-        yield "it has a mocap body"
     if model.nplugin:
         yield "it uses a plugin"
 
@@ -310,7 +310,7 @@ def _inverse_weights(model: mujoco.MjModel) -> np.ndarray:
     # Not `mj_forward`: the world of a user's model may have thousands of geoms, which touch each other.
     for stage in (mujoco.mj_fwdKinematics, mujoco.mj_makeM, mujoco.mj_factorM):
         stage(model, data)
-    for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid]):
+    for geom in np.flatnonzero(model.body_treeid[model.geom_bodyid] >= 0):
         axes = data.geom_xmat[geom].reshape(3, 3)
         middle, half = model.geom_aabb[geom].reshape(2, 3)
         for end in [*np.diag(half), *np.diag(-half)]:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from mujoco_compiled.coverage import Uncovered
 from mujoco_compiled.model import Model
 
 _INPUTS = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart", "time")
@@ -56,7 +57,13 @@ def make_data(m: Model) -> Data:
 
 
 def put_data(m: Model, d: mujoco.MjData) -> Data:
-    """The state that an `mjData` has, with its derived fields as they are."""
+    """The state that an `mjData` has, with its derived fields as they are.
+
+    Raises Uncovered if a mocap body is not where the model has it.
+    """
+    moved = mujoco.MjData(m.moves.model)
+    if any((getattr(d, name) != getattr(moved, name)).any() for name in ("mocap_pos", "mocap_quat")):
+        raise Uncovered("a mocap body is not where the model has it")
     return Data(**{name: jnp.asarray(getattr(d, name), jnp.float32) for name in m.moves.shapes})
 
 

@@ -68,7 +68,7 @@ def own_numbers(fields: Fields, name: str, number: int, differs: tuple[bool, ...
 
 def fixed_boxes(model: mujoco.MjModel) -> np.ndarray:
     """Their numbers, in order."""
-    is_fixed = model.body_weldid[model.geom_bodyid] == 0
+    is_fixed = model.body_treeid[model.geom_bodyid] < 0
     return np.flatnonzero(is_fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_BOX))
 
 

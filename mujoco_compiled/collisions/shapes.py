@@ -102,7 +102,7 @@ def _geom(model: mujoco.MjModel, number: int, at_rest: mujoco.MjData) -> Geom:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[number])
     position = model.geom_pos[number]
-    if model.body_weldid[body] == 0:
+    if model.body_treeid[body] < 0:
         body, position, rotation = 0, at_rest.geom_xpos[number], at_rest.geom_xmat[number]
     return Geom(
         number=number,

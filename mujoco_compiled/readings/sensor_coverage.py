@@ -51,7 +51,7 @@ def _unread_contacts(model: mujoco.MjModel, sensor: int) -> str | None:
 def _unread_touch(model: mujoco.MjModel, site: int) -> str | None:
     """Why a touch sensor cannot be read: it reads only all contacts of a body."""
     body = int(model.site_bodyid[site])
-    if not model.body_weldid[body]:
+    if model.body_treeid[body] < 0:
         return "is on a body that never moves"
     for pair in read_pairs(Fields(model)):
         for geom in (pair.one, pair.other):

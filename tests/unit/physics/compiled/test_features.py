@@ -22,7 +22,6 @@ REFUSED = {
     "delays": "its actuator number 0 acts with a delay",
     "height_field": "its geoms 'ground' and number 2 can touch: a hfield and a sphere",
     "mesh_feet": "its geoms 'floor' and number 3 can touch: a plane and a mesh",
-    "mocap": "it has a mocap body",
 }
 NAMES = sorted(file.stem for file in FOLDER.iterdir())
 

@@ -1,7 +1,7 @@
 """Passive forces, actuators and integrators against C MuJoCo, without contacts."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.options import DirectedOptions
 from core.environments.dm_control.rodent.model import rodent_model
-from mujoco_compiled.coverage import uncovered
+from mujoco_compiled.coverage import uncovered, uncovered_own
 from mujoco_compiled.program.arithmetic import Vector, add
 from mujoco_compiled.smooth.actuation import ActuatorState, actuator_stretch, driven
 from mujoco_compiled.smooth.dynamics import mass_matrix, motion, projected
@@ -22,6 +22,8 @@ from mujoco_compiled.smooth.paths import Posture
 from mujoco_compiled.smooth.spatial import rotation_vector
 from mujoco_compiled.smooth.tendons import tendon_forces, with_armature, with_tendons
 from mujoco_compiled.substep import Model, SubstepState, control_step, read_model, substep
+from tests.unit.physics.compiled.recorded_substep import recorded
+from tests.unit.physics.compiled.test_substep import THOROUGH, converge
 
 NUM_STATES = 8
 PULLED = """
@@ -263,6 +265,29 @@ def test_actuators_on_sites_are_mujoco_s(option: str) -> None:
             mujoco.mj_step(model, data)
     for field in ("qpos", "qvel"):
         assert_close(getattr(moved, field), of_all(datas, field), 1e-9)
+
+
+def test_a_mocap_body_stands_still_and_is_leant_on() -> None:
+    model = mujoco.MjModel.from_xml_string("""
+      <mujoco><worldbody><geom type="plane" size="5 5 1"/>
+        <body name="tray" mocap="true" pos="0 0 0.1" euler="3 0 0"><geom type="capsule" size="0.1 0.5"/>
+          <body pos="0.2 0 0.1"><geom type="box" size="0.2 0.2 0.1"/></body></body>
+        <body pos="0 0.05 0.4"><freejoint/><geom size="0.1"/></body>
+        <body pos="0.2 0 0.4"><freejoint/><geom size="0.1"/></body>
+      </worldbody></mujoco>
+    """)
+    assert uncovered(model) is None
+    assert uncovered_own(model, ("body_pos",)) == "body_pos: its body 'tray' is a mocap body"
+    model = converge(model, implicit_damping=True)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 60)
+    assert data.ncon > 0
+    ours = read_model(model)
+    state = recorded(replace(ours, solver=replace(ours.solver, **THOROUGH)), state_of([data]), [])
+    after = state(state_of([data]), [])
+    mujoco.mj_step(model, data)
+    for field in ("qpos", "qvel"):
+        assert_close(getattr(after, field), of_all([data], field), 1e-9)
 
 
 def test_a_rotation_s_vector_is_mujoco_s() -> None:
