@@ -1,0 +1,81 @@
+"""The robots that users bring, as their authors publish them: each is refused with a sentence, or moves as in
+C MuJoCo.
+
+Machine code in single precision is set down in 50 of C MuJoCo's states, half of them after a fall, under
+random controls, and compared after 50 substeps with the same solver settings. C MuJoCo itself, begun in the
+same states in single precision, is the measure: a Go2's legs meet with a capsule along the edges of boxes,
+where rounding decides at how many points they touch. Differences in half of the tries and in nine of ten, in
+parts of the motion, and those of C MuJoCo itself, measured 2026-11-28:
+
+go1 (feet)     1.3e-6 3.1e-6   9.3e-8 1.8e-7
+aliengo        1.2e-6 2.1e-3   5.0e-7 5.9e-3
+go1            3.5e-6 7.3e-4   8.9e-8 1.8e-7   (cylinders)
+go2            3.3e-3 3.3e-2   2.6e-3 2.5e-2
+hyqreal2       8.1e-7 1.7e-6   1.6e-7 4.8e-7
+pegasus        5.4e-7 1.1e-6   1.6e-7 2.7e-7
+g1             1.9e-6 7.0e-6   1.8e-7 7.2e-7
+humanoid       4.0e-6 5.1e-5   3.3e-7 3.2e-6
+"""
+
+from dataclasses import replace
+
+import mujoco
+import pytest
+
+from bench.bodies import PUBLISHED, find
+from core.errors import JobFailed
+from core.physics.compiled import CompiledEngine
+from core.physics.native import NativeEngine
+from core.physics.trial import ReferenceMotion, compare, record
+from mujoco_compiled.coverage import uncovered
+from tests.extra import extra
+
+# In a control step, of which `compare` makes two.
+NUM_SUBSTEPS = 25
+# With what a robot may be refused.
+REFUSED = {
+    "a2_whole": "points, more than",
+    "b2_whole": "points, more than",
+    "hyqreal1_whole": "a plane and a mesh",
+    "mini_cheetah_whole": "a plane and a mesh",
+    "spot_whole": "a plane and a mesh",
+}
+
+
+def model_of(name: str) -> mujoco.MjModel:
+    try:
+        return find(name).model
+    except JobFailed as error:
+        pytest.skip(str(error))
+
+
+def moved_on(model: mujoco.MjModel, begun: ReferenceMotion) -> ReferenceMotion:
+    """The same tries, of 50 substeps each."""
+    ended = {name: begun.ended[name].copy() for name in ("qpos", "qvel", "act")}
+    for number, controls in enumerate(begun.ctrl):
+        data = mujoco.MjData(model)
+        for name in (*ended, "qacc_warmstart"):
+            getattr(data, name)[:] = begun.begun[name][number]
+        for one in controls:
+            data.ctrl[:] = one
+            mujoco.mj_step(model, data, NUM_SUBSTEPS)
+        assert not any(warning.number for warning in data.warning)
+        for name, values in ended.items():
+            values[number] = getattr(data, name)
+    return replace(begun, num_substeps=NUM_SUBSTEPS, ended=ended)
+
+
+@pytest.mark.parametrize("name", ["go1", *extra("g1", *PUBLISHED)])
+def test_a_robot_is_refused_or_moves_as_in_mujoco(name: str) -> None:
+    model = model_of(name)
+    if reason := uncovered(model):
+        assert REFUSED.get(name, "nothing") in reason
+        return
+    begun = record(model)
+    assert begun is not None
+    reference = moved_on(model, begun)
+    itself = compare(NativeEngine(model, NUM_SUBSTEPS, ()), reference)
+    found = compare(CompiledEngine(model, NUM_SUBSTEPS, ()), reference)
+    assert not found.broken
+    assert found.half < 1e-5 + 2.0 * itself.half, (found, itself)
+    assert found.most < 1e-3 + 2.0 * itself.most, (found, itself)
