@@ -69,10 +69,6 @@ class Tie:
     spring: SpringDamper
     inverse_weights: tuple[Number, Number]
 
-    @property
-    def num_rows(self) -> int:
-        return 3 if self.torque_scale is None else 6
-
 
 def read_ties(fields: Fields) -> tuple[Tie, ...]:
     """The connects and welds that are active from the start."""
