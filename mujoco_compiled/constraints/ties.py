@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from mujoco_compiled.constraints.contacts import moved_by
 from mujoco_compiled.constraints.laws import TwoSided
 from mujoco_compiled.constraints.rows import Direction, RowGroup
 from mujoco_compiled.constraints.solref import (
@@ -133,7 +134,7 @@ def _side(tree: Tree, end: Attachment, at: Poses, moving: Motion, qvel: Vector) 
     def at_point(motion: Vector) -> Vector:
         return add(motion[3:], cross(motion[:3], arm))
 
-    dofs = _moved_by(tree, end.body)
+    dofs = moved_by(tree, end.body)
     rates = [scale(moving.axis_rates[i], qvel[i]) for i in dofs]
     drift = [total(numbers) for numbers in zip(*rates, strict=True)] or [0.0] * 6
     turning, velocity = moving.velocities[end.body][:3], at_point(moving.velocities[end.body])
@@ -197,16 +198,6 @@ def _group(part: _Part, spring: SpringDamper, impedance: Number, inverse_weight:
         for distance, speed, drift in zip(part.violation, part.speed, part.drift, strict=True)
     ]
     return RowGroup(part.directions, reference, TwoSided(full_stiffness(impedance, inverse_weight)))
-
-
-def _moved_by(tree: Tree, body: int) -> list[int]:
-    """The degrees of freedom that move the body."""
-    while body:
-        own = [i for i, dof in enumerate(tree.dofs) if dof.body == body]
-        if own:
-            return [*tree.dofs[own[-1]].ancestors, own[-1]]
-        body = tree.bodies[body].parent
-    return []
 
 
 def _tie(fields: Fields, number: int) -> Tie:
