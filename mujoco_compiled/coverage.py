@@ -195,9 +195,7 @@ def _joints(model: mujoco.MjModel) -> Iterator[str]:
     rotates = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL))
     ranged = rotates & (model.jnt_actfrclimited != 0)
     yield from where(model, "joint", ranged, "has several axes and limits its actuators' forces")
-    yield from where(model, "joint", model.jnt_stiffnesspoly.any(axis=-1), "is not a linear spring")
     joint_of = model.dof_jntid
-    yield from where(model, "joint", model.dof_dampingpoly.any(axis=-1), "is not a linear damper", joint_of)
     rough = (model.dof_frictionloss != 0) & _uncomputable(model.dof_solimp)
     yield from where(model, "joint", rough, _CURVE, joint_of)
     limited = (model.jnt_limited != 0) & _keeps_limits(model)
@@ -225,8 +223,6 @@ def _tendons(model: mujoco.MjModel) -> Iterator[str]:
     both_ends = limited & (np.ptp(model.tendon_range, axis=1) < 2.0 * model.tendon_margin)
     yield from where(model, "tendon", both_ends, "can be at both ends of its range at once")
     yield from where(model, "tendon", model.tendon_actfrclimited, "limits its actuators' forces")
-    yield from where(model, "tendon", model.tendon_stiffnesspoly.any(axis=-1), "is not a linear spring")
-    yield from where(model, "tendon", model.tendon_dampingpoly.any(axis=-1), "is not a linear damper")
 
 
 def _actuators(model: mujoco.MjModel) -> Iterator[str]:

@@ -16,7 +16,7 @@ from mujoco_compiled.constraints.constraints import (
     read_constraints,
 )
 from mujoco_compiled.constraints.solver import Settings, SolverProblem, acceleration
-from mujoco_compiled.fields import NOMINAL, Fields, Own, is_zero
+from mujoco_compiled.fields import NOMINAL, Fields, Own
 from mujoco_compiled.program.arithmetic import Number, Vector, add, scale
 from mujoco_compiled.program.flow import repeat
 from mujoco_compiled.readings.contact_sensors import (
@@ -55,7 +55,7 @@ from mujoco_compiled.smooth.tendons import (
     with_armature,
     with_tendons,
 )
-from mujoco_compiled.smooth.tree import Tree, read_tree
+from mujoco_compiled.smooth.tree import Tree, acts, read_tree
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def _readings(model: Model, problem: SolverProblem, now: Instant, found: Vector)
 def _implicit(fields: Fields, tree: Tree) -> Implicit:
     if fields.model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
         return "velocities"
-    damped = any(not is_zero(dof.damping) for dof in tree.dofs)
+    damped = any(acts(dof.damping) for dof in tree.dofs)
     return "damping" if damped and not fields.disables(mujoco.mjtDisableBit.mjDSBL_EULERDAMP) else "nothing"
 
 
@@ -254,11 +254,11 @@ def _integrated(model: Model, problem: SolverProblem, found: Vector, now: Instan
     if model.implicit == "nothing":
         return found
     tree = model.tree
-    inertia: Entries = implicit_inertia(tree, problem.mass, model.timestep)
+    inertia: Entries = implicit_inertia(tree, problem.mass, now.qvel, model.timestep)
     force = multiply(tree, problem.mass, found)
     if model.implicit == "damping":
         return solve(tree, factorize(tree, inertia), force)
-    slopes = [*tendon_slopes(model.tendons, now.tendons), *now.done.slopes]
+    slopes = [*tendon_slopes(model.tendons, now.tendons, now.qvel), *now.done.slopes]
     add_slopes(inertia, slopes, model.timestep)
     changed = solve(tree, factorize(tree, inertia), force)
     for lone in read_lone_bodies(tree):

@@ -20,7 +20,7 @@ from mujoco_compiled.constraints.solref import (
     reference_at,
 )
 from mujoco_compiled.fields import Fields
-from mujoco_compiled.program.arithmetic import Number, Vector, total
+from mujoco_compiled.program.arithmetic import Number, Vector, polynomial, total
 from mujoco_compiled.smooth.paths import Linear, Path, Stretch, weighted
 from mujoco_compiled.smooth.tendons import path_of, read_tendons
 
@@ -65,22 +65,14 @@ def coupling_row(coupling: Coupling, stretched: Callable[[Path], Stretch], qvel:
     if coupling.leader:
         leader = stretched(coupling.leader.path)
         lead = leader.length - coupling.leader.rest
-        slope = _value([power * x for power, x in enumerate(coupling.polynomial)][1:], lead)
+        slope = polynomial([power * x for power, x in enumerate(coupling.polynomial)][1:], lead)
         for dof, coefficient in leader.moment.items():
             direction[dof] = direction.get(dof, 0.0) - slope * coefficient
-    distance = follower.length - coupling.follower.rest - _value(coupling.polynomial, lead)
+    distance = follower.length - coupling.follower.rest - polynomial(coupling.polynomial, lead)
     impedance = impedance_at(coupling.spring.impedance, distance)
     reference = reference_at(coupling.spring, impedance, distance, weighted(direction, qvel))
     law = TwoSided(full_stiffness(impedance, coupling.inverse_weight))
     return RowGroup([direction], [reference], law)
-
-
-def _value(polynomial: Vector, x: Number) -> Number:
-    """By Horner's rule."""
-    found: Number = 0.0
-    for coefficient in reversed(polynomial):
-        found = found * x + coefficient
-    return found
 
 
 def _coupling(fields: Fields, number: int) -> Coupling:

@@ -50,6 +50,14 @@ def squared(x: Number) -> Number:
     return x * x
 
 
+def polynomial(coefficients: Sequence[Number], x: Number) -> Number:
+    """By Horner's rule. coefficients: by power, from 0 on."""
+    found: Number = 0.0
+    for coefficient in reversed(coefficients):
+        found = found * x + coefficient
+    return found
+
+
 def clip(x: Number, low: Number, high: Number) -> Number:
     return minimum(maximum(x, low), high)
 

@@ -19,6 +19,7 @@ from mujoco_compiled.program.arithmetic import (
     sqrt,
 )
 from mujoco_compiled.smooth.dynamics import Entries
+from mujoco_compiled.smooth.forces import damper_force
 from mujoco_compiled.smooth.paths import Slope
 from mujoco_compiled.smooth.tendons import add_outer
 from mujoco_compiled.smooth.tree import Tree
@@ -28,11 +29,12 @@ from mujoco_compiled.smooth.tree import Tree
 Implicit = Literal["nothing", "damping", "velocities"]
 
 
-def implicit_inertia(tree: Tree, mass: Entries, timestep: float) -> Entries:
-    """M + h · the joints' damping."""
+def implicit_inertia(tree: Tree, mass: Entries, qvel: Vector, timestep: float) -> Entries:
+    """M + h · the joints' damping, or how the force of one that is not linear changes at this velocity."""
     found = dict(mass)
     for i, dof in enumerate(tree.dofs):
-        found[i, i] = found[i, i] + timestep * dof.damping
+        _, slope = damper_force(dof.damping, qvel[i])
+        found[i, i] = found[i, i] - timestep * slope
     return found
 
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import mujoco
 
 from mujoco_compiled.fields import NOMINAL, Fields, Own
-from mujoco_compiled.program.arithmetic import Number, Vector, clip
+from mujoco_compiled.program.arithmetic import Number, Vector, clip, polynomial
 from mujoco_compiled.smooth.dynamics import Entries
+from mujoco_compiled.smooth.forces import damper_force
 from mujoco_compiled.smooth.paths import (
     Coefficients,
     Linear,
@@ -23,16 +24,17 @@ from mujoco_compiled.smooth.paths import (
     stretch,
 )
 from mujoco_compiled.smooth.routes import Route, read_route, route_stretch
-from mujoco_compiled.smooth.tree import Range
+from mujoco_compiled.smooth.tree import Range, acts, law
 
 
 @dataclass(frozen=True)
 class Tendon:
-    """stiffness, damping, armature: of the length. rest: lengths between which the spring does not pull."""
+    """stiffness, damping: polynomials of how far it is stretched and of its rate.
+    armature: of the length. rest: lengths between which the spring does not pull."""
 
     path: Linear | Route
-    stiffness: float
-    damping: float
+    stiffness: Vector
+    damping: Vector
     armature: float
     rest: Range
 
@@ -69,18 +71,23 @@ def tendon_forces(tendons: Sequence[Tendon], stretches: Sequence[Stretch], qvel:
     found: Vector = [0.0] * len(qvel)
     for tendon, stretched in zip(tendons, stretches, strict=True):
         force: Number = 0.0
-        if tendon.stiffness:
-            force = force - tendon.stiffness * (stretched.length - clip(stretched.length, *tendon.rest))
-        if tendon.damping:
-            force = force - tendon.damping * stretched.rate(qvel)
+        if acts(tendon.stiffness):
+            beyond = stretched.length - clip(stretched.length, *tendon.rest)
+            force = force - polynomial(tendon.stiffness, beyond) * beyond
+        if acts(tendon.damping):
+            force = force + damper_force(tendon.damping, stretched.rate(qvel))[0]
         for dof, coefficient in stretched.moment.items():
             found[dof] = found[dof] + coefficient * force
     return found
 
 
-def tendon_slopes(tendons: Sequence[Tendon], stretches: Sequence[Stretch]) -> list[Slope]:
+def tendon_slopes(tendons: Sequence[Tendon], stretches: Sequence[Stretch], qvel: Vector) -> list[Slope]:
     """Of the dampers' forces."""
-    return [(stretched, -tendon.damping) for tendon, stretched in zip(tendons, stretches, strict=True)]
+    return [
+        (stretched, damper_force(tendon.damping, stretched.rate(qvel))[1])
+        for tendon, stretched in zip(tendons, stretches, strict=True)
+        if acts(tendon.damping)
+    ]
 
 
 def with_armature(tendons: Sequence[Tendon], stretches: Sequence[Stretch], mass: Entries) -> Entries:
@@ -106,8 +113,8 @@ def _tendon(fields: Fields, number: int) -> Tendon:
     low, high = (float(x) for x in model.tendon_lengthspring[number])
     return Tendon(
         path=_of_joints(model, number) if is_fixed else read_route(fields, number),
-        stiffness=0.0 if fields.disables(bit.mjDSBL_SPRING) else float(model.tendon_stiffness[number]),
-        damping=0.0 if fields.disables(bit.mjDSBL_DAMPER) else float(model.tendon_damping[number]),
+        stiffness=[] if fields.disables(bit.mjDSBL_SPRING) else law(fields, "tendon_stiffness", number),
+        damping=[] if fields.disables(bit.mjDSBL_DAMPER) else law(fields, "tendon_damping", number),
         armature=float(model.tendon_armature[number]),
         rest=(low, high),
     )

@@ -6,7 +6,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from mujoco_compiled.fields import NOMINAL, Fields, Own, divided
+from mujoco_compiled.fields import NOMINAL, Fields, Own, divided, is_zero
 from mujoco_compiled.program.arithmetic import Matrix, Number, Vector, dot, total
 
 JointKind = Literal["free", "ball", "slide", "hinge"]
@@ -19,7 +19,8 @@ _KINDS: tuple[JointKind, ...] = ("free", "ball", "slide", "hinge")  # in MuJoCo'
 class JointConstants:
     """qpos, dof: addresses of its first position and velocity. anchor, axis: in the body's frame, in m.
 
-    reference, spring: positions (qpos0, qpos_spring) from its address on; stiffness: N/m or N m/rad.
+    reference, spring: positions (qpos0, qpos_spring) from its address on. stiffness: a polynomial of how far
+    the spring is stretched, in N/m or N m/rad.
     """
 
     kind: JointKind
@@ -29,7 +30,7 @@ class JointConstants:
     axis: Vector
     reference: Vector
     spring: Vector
-    stiffness: Number
+    stiffness: Vector
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class BodyConstants:
 class Dof:
     """ancestors: the degrees of freedom that move its body, too, from the root on, without itself.
 
+    damping: a polynomial of the speed, in N s/m or N m s/rad.
     actuator_range: bounds of all actuators' force together; None without. holds_weight: whether the force of
     gravity compensation counts as an actuator's.
     """
@@ -64,7 +66,7 @@ class Dof:
     body: int
     ancestors: tuple[int, ...]
     armature: Number
-    damping: Number
+    damping: Vector
     actuator_range: Range | None
     holds_weight: bool
 
@@ -104,6 +106,19 @@ def is_passive_disabled(fields: Fields) -> bool:
     """Without springs and dampers, MuJoCo computes no passive force at all."""
     bit = mujoco.mjtDisableBit
     return fields.disables(bit.mjDSBL_SPRING) and fields.disables(bit.mjDSBL_DAMPER)
+
+
+def law(fields: Fields, name: str, number: int) -> Vector:
+    """The polynomial of a spring or a damper, such as `dof_damping`, without zeros at its end but for one."""
+    whole = [fields.number(name, number), *_floats(getattr(fields.model, f"{name}poly")[number])]
+    while len(whole) > 1 and is_zero(whole[-1]):
+        whole.pop()
+    return whole
+
+
+def acts(polynomial: Vector) -> bool:
+    """Whether a spring or a damper is there."""
+    return not all(is_zero(x) for x in polynomial)
 
 
 def moved_by(model: mujoco.MjModel, body: int) -> tuple[int, ...]:
@@ -180,7 +195,7 @@ def _joint(fields: Fields, number: int) -> JointConstants:
         axis=_floats(model.jnt_axis[number]),
         reference=_floats(model.qpos0[positions]),
         spring=_floats(model.qpos_spring[positions]),
-        stiffness=0.0 if springless else fields.number("jnt_stiffness", number),
+        stiffness=[] if springless else law(fields, "jnt_stiffness", number),
     )
 
 
@@ -193,7 +208,7 @@ def _dof(fields: Fields, number: int) -> Dof:
         body=int(model.dof_bodyid[number]),
         ancestors=_ancestors(model, number),
         armature=fields.number("dof_armature", number),
-        damping=0.0 if undamped else fields.number("dof_damping", number),
+        damping=[] if undamped else law(fields, "dof_damping", number),
         actuator_range=(low, high) if model.jnt_actfrclimited[joint] else None,
         holds_weight=bool(model.jnt_actgravcomp[joint]),
     )

@@ -48,7 +48,6 @@ def test_a_plain_body_is_covered() -> None:
             {"geom": "ellipsoid", "joint": 'limited="true" range="-1 1" solimplimit="0.9 0.95 0.1 0.5 2.2"'},
             "'hip'",
         ),
-        ({"joint": 'damping="1 0.5"'}, "'hip'"),
         (
             {"option": 'integrator="implicitfast" density="1"'},
             "in a fluid, and its integrator is implicitfast",

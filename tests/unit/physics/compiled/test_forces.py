@@ -267,6 +267,25 @@ def test_actuators_on_sites_are_mujoco_s(option: str) -> None:
         assert_close(getattr(moved, field), of_all(datas, field), 1e-9)
 
 
+@pytest.mark.parametrize("option", ["", 'integrator="implicitfast"'])
+def test_springs_and_dampers_that_are_not_linear_are_mujoco_s(option: str) -> None:
+    bent = PULLED.format(option=option, flag="")
+    for mine, other in (
+        ('type="free" stiffness="3"', 'type="free" stiffness="3 1 0.5" damping="0 0.2 0.1"'),
+        ('stiffness="5" damping="0.3"', 'stiffness="5 -1 2" damping="0.3 0.2"'),
+        ('stiffness="2" damping="0.1"', 'stiffness="2 1 0.5" damping="0.1 0.2 0.3"'),
+        ('stiffness="2" damping="0.3" armature', 'stiffness="2 0.3 0.1" damping="0.3 0.2 0.1" armature'),
+    ):
+        assert mine in bent
+        bent = bent.replace(mine, other)
+    model = mujoco.MjModel.from_xml_string(bent)
+    assert uncovered(model) is None
+    datas = random_states(model, 0.5)
+    ours, state, ctrl = read_model(model), state_of(datas), of_all(datas, "ctrl")
+    assert_forces_are_mujoco_s(model, datas)
+    assert_close(substep(ours, state, ctrl).qvel, of_all(datas, "qvel"))
+
+
 def test_a_mocap_body_stands_still_and_is_leant_on() -> None:
     model = mujoco.MjModel.from_xml_string("""
       <mujoco><worldbody><geom type="plane" size="5 5 1"/>
