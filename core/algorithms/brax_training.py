@@ -20,7 +20,7 @@ put_off("brax")
 from brax.training import distribution, networks  # noqa: E402
 from brax.training.acme import running_statistics, specs  # noqa: E402
 from brax.training.acme.running_statistics import RunningStatisticsState  # noqa: E402
-from brax.training.agents.ppo.losses import PPONetworkParams, compute_ppo_loss  # noqa: E402
+from brax.training.agents.ppo.losses import PPONetworkParams  # noqa: E402
 from brax.training.agents.ppo.networks import (  # noqa: E402
     PPONetworks,
     make_inference_fn,
@@ -34,7 +34,6 @@ __all__ = [
     "RunningStatisticsState",
     "Transition",
     "UInt64",
-    "compute_ppo_loss",
     "distribution",
     "identity_observation_preprocessor",
     "make_inference_fn",

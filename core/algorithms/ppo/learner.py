@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jax.flatten_util import ravel_pytree
 from numpy.typing import NDArray
 
 from core.algorithms.algorithm import Failure
@@ -37,7 +38,16 @@ from core.algorithms.experience import (
 )
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
 from core.algorithms.ppo.kernels import layout
-from core.algorithms.ppo.loss import ADAM, Hyperparameters, adapt_to_kl, clipped, descend, linear, loss_of
+from core.algorithms.ppo.loss import (
+    ADAM,
+    METRICS,
+    Hyperparameters,
+    adapt_to_kl,
+    clipped,
+    descend,
+    linear,
+    loss_of,
+)
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.sharding import ONE_DEVICE, Sharding
@@ -243,6 +253,12 @@ class Learner:
             return (*learnt, hyperparameters.learning_rate), metrics
         num_unrolls = settings.batch_size * settings.num_minibatches
         loss = loss_of(settings, self._networks(normalize=False), state.normalizer, hyperparameters)
+        names = (*METRICS, "grad_norm", *(["learning_rate"] if self._adapts_to_kl else []))
+        # One vector for all parameters, and one for all metrics: one kernel each, not one for each layer.
+        vector, unpack = ravel_pytree(state.params)
+        packed = state.optimizer._replace(
+            mu=ravel_pytree(state.optimizer.mu)[0], nu=ravel_pytree(state.optimizer.nu)[0]
+        )
 
         def learn_pass(carry: Any, key: jax.Array) -> tuple[Any, Any]:
             order_key, loss_key = jax.random.split(key)
@@ -250,10 +266,12 @@ class Learner:
             return jax.lax.scan(learn_minibatch, carry, (order, jax.random.split(loss_key, len(order))))
 
         def learn_minibatch(carry: Any, batch_and_key: tuple[jax.Array, jax.Array]) -> tuple[Any, Any]:
-            params, optimizer, learning_rate = carry
+            vector, packed, learning_rate = carry
             chosen, key = batch_and_key
             minibatch = self.sharding.split(jax.tree.map(lambda x: jnp.take(x, chosen, axis=0), batch))
-            gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch, key)
+            gradient, metrics = jax.grad(lambda vector: loss(unpack(vector), minibatch, key), has_aux=True)(
+                vector
+            )
             gradient, norm = clipped(gradient, hyperparameters.max_grad_norm)
             metrics = metrics | {"grad_norm": norm}
             if self._adapts_to_kl:
@@ -267,18 +285,20 @@ class Learner:
                     ),
                 )
                 metrics = metrics | {"learning_rate": learning_rate}
-            params, optimizer = descend(params, optimizer, gradient, learning_rate)
-            return (params, optimizer, learning_rate), metrics
+            vector, packed = descend(vector, packed, gradient, learning_rate)
+            return (vector, packed, learning_rate), jnp.stack([metrics[name] for name in names])
 
         learning_rate = hyperparameters.learning_rate
         if self._adapts_to_kl:
             learning_rate = jnp.where(state.num_updates == 0, learning_rate, state.learning_rate)
-        learnt, metrics = jax.lax.scan(
+        (vector, packed, learning_rate), metrics = jax.lax.scan(
             learn_pass,
-            (state.params, state.optimizer, learning_rate),
+            (vector, packed, learning_rate),
             jax.random.split(key, settings.num_updates_per_batch),
         )
-        return learnt, jax.tree.map(jnp.mean, metrics)
+        optimizer = packed._replace(mu=unpack(packed.mu), nu=unpack(packed.nu))
+        means = dict(zip(names, jnp.mean(metrics, axis=(0, 1)), strict=True))
+        return (unpack(vector), optimizer, learning_rate), means
 
     @property
     def has_kernels(self) -> bool:

@@ -1,4 +1,9 @@
-"""PPO's loss, a bounded step of Adam along its gradient, and learning-rate schedules."""
+"""PPO's loss, a bounded step of Adam along its gradient, and learning-rate schedules.
+
+On a GPU a gradient step on small networks is a chain of kernels that each take longer to begin than to
+compute. So the loss is Brax's (brax.training.agents.ppo.losses) in fewer of them: one pass of the value
+network, and no loop over time. Its numbers are Brax's but for rounding.
+"""
 
 from collections.abc import Callable
 from typing import Any, cast
@@ -12,7 +17,6 @@ from core.algorithms.brax_training import (
     PPONetworkParams,
     RunningStatisticsState,
     Transition,
-    compute_ppo_loss,
 )
 from core.algorithms.ppo.spec import PPOSpec
 
@@ -47,6 +51,22 @@ class Hyperparameters:
         )
 
 
+# The parts of the loss, by Brax's names, in the order in which kernels write them.
+METRICS = (
+    "total_loss",
+    "policy_loss",
+    "v_loss",
+    "entropy_loss",
+    "kl_mean",
+    "policy_dist_mean_std",
+    "policy_dist_mean_loc",
+    "policy_dist_max_std",
+    "policy_dist_max_loc",
+    "policy_dist_min_std",
+    "policy_dist_min_loc",
+)
+_STEPS_WITHOUT_A_LOOP = 16
+
 Loss = Callable[[PPONetworkParams, Transition, jax.Array], tuple[jax.Array, dict[str, jax.Array]]]
 
 
@@ -58,27 +78,77 @@ def loss_of(
     networks: do not normalise, because that is done once for the batch, not in every minibatch.
     Source: Schulman et al., Proximal Policy Optimization Algorithms (2017), eq. 9.
     """
-    clips_values = settings.clipping_epsilon_value is not None
-    bound = hyperparameters.clipping_epsilon_value if clips_values else None
+    distribution = networks.parametric_action_distribution
+    costs = hyperparameters
 
     def loss(params: PPONetworkParams, minibatch: Transition, key: jax.Array) -> Any:
-        return compute_ppo_loss(
-            params,
-            normalizer,  # not used: these networks do not normalise
-            minibatch,
-            key,
-            networks,
-            entropy_cost=hyperparameters.entropy_cost,  # pyright: ignore[reportArgumentType]
-            discounting=hyperparameters.discounting,  # pyright: ignore[reportArgumentType]
-            reward_scaling=hyperparameters.reward_scaling,  # pyright: ignore[reportArgumentType]
-            gae_lambda=hyperparameters.gae_lambda,  # pyright: ignore[reportArgumentType]
-            clipping_epsilon=hyperparameters.clipping_epsilon,  # pyright: ignore[reportArgumentType]
-            normalize_advantage=settings.normalize_advantage,
-            vf_coefficient=hyperparameters.vf_loss_coefficient,  # pyright: ignore[reportArgumentType]
-            clipping_epsilon_value=bound,  # pyright: ignore[reportArgumentType]
+        data = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), minibatch)  # time first
+        extras = data.extras
+        acted, truncation = extras["policy_extras"], extras["state_extras"]["truncation"]
+        # The normaliser is not used: these networks do not normalise.
+        logits = networks.policy_network.apply(normalizer, params.policy, data.observation)
+        seen = jax.tree.map(
+            lambda x, after: jnp.concatenate([x, after[-1:]]), data.observation, data.next_observation
         )
+        values = networks.value_network.apply(normalizer, params.value, seen)
+        returns, advantages = estimated(
+            data.reward * costs.reward_scaling,
+            jax.lax.stop_gradient(values),
+            continues=costs.discounting * (1 - (1 - data.discount) * (1 - truncation)),
+            counts=1 - truncation,
+            gae_lambda=costs.gae_lambda,
+        )
+        if settings.normalize_advantage:
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        log_prob = distribution.log_prob(logits, acted["raw_action"])
+        ratio = jnp.exp(log_prob - acted["log_prob"])
+        bounded = jnp.clip(ratio, 1 - costs.clipping_epsilon, 1 + costs.clipping_epsilon)
+        policy_loss = -jnp.mean(jnp.minimum(ratio * advantages, bounded * advantages))
+        errors = jnp.square(returns - values[:-1])
+        if settings.clipping_epsilon_value is not None:
+            bound, before = costs.clipping_epsilon_value, acted["value"]
+            moved = before + jnp.clip(values[:-1] - before, -bound, bound)
+            errors = jnp.maximum(errors, jnp.square(returns - moved))
+        v_loss = jnp.mean(errors) * 0.5 * costs.vf_loss_coefficient
+        entropy_loss = costs.entropy_cost * -jnp.mean(distribution.entropy(logits, key))
+        total = policy_loss + v_loss + entropy_loss
+        now, then = (distribution.create_dist(x) for x in (logits, acted["distribution_params"]))
+        parts = (total, policy_loss, v_loss, entropy_loss, jnp.mean(now.kl_divergence(then)))
+        described = (of(x) for of in (jnp.mean, jnp.max, jnp.min) for x in (now.scale, now.loc))
+        return total, dict(zip(METRICS, (*parts, *described), strict=True))
 
     return loss
+
+
+def estimated(
+    rewards: jax.Array,
+    values: jax.Array,
+    *,
+    continues: jax.Array,
+    counts: jax.Array,
+    gae_lambda: jax.Array | float,
+) -> tuple[jax.Array, jax.Array]:
+    """The returns that values are to have, and the generalised advantages; [T, B].
+
+    rewards: [T, B]; values: [T + 1, B], the last of what is seen after the unroll. continues: [T, B], γ, or 0
+    where the episode terminated. counts: [T, B], 0 where it was cut off, 1 elsewhere.
+    Source: Schulman et al., High-Dimensional Continuous Control Using Generalised Advantage Estimation
+    (2016), eq. 16; Brax's advantages are those of the λ-return after one more step.
+    """
+
+    def back(weighted: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        error, decay = step
+        weighted = error + decay * weighted
+        return weighted, weighted
+
+    errors = (rewards + continues * values[1:] - values[:-1]) * counts
+    decays = continues * counts * gae_lambda
+    _, weighted = jax.lax.scan(
+        back, jnp.zeros_like(values[-1]), (errors, decays), reverse=True, unroll=_STEPS_WITHOUT_A_LOOP
+    )
+    returns = weighted + values[:-1]
+    afterwards = jnp.concatenate([returns[1:], values[-1:]])
+    return returns, (rewards + continues * afterwards - values[:-1]) * counts
 
 
 ADAM = optax.scale_by_adam()

@@ -8,7 +8,7 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import compute_ppo_loss
 from brax.training.types import Transition
 
-from core.algorithms.brax_training import init_normalizer
+from core.algorithms.brax_training import PPONetworkParams, init_normalizer
 from core.algorithms.experience import (
     StepOutcomes,
     collect,
@@ -18,7 +18,7 @@ from core.algorithms.experience import (
     summarise,
 )
 from core.algorithms.ppo.learner import Learner, TrainingState
-from core.algorithms.ppo.loss import Hyperparameters
+from core.algorithms.ppo.loss import Hyperparameters, loss_of
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment, State
@@ -41,7 +41,12 @@ def some_transitions(num_steps: int, num_envs: int) -> Transition:
     def coin() -> jax.Array:
         return jnp.asarray(random.integers(0, 2, (num_steps, num_envs)), jnp.float32)
 
-    acted = {"raw_action": normal(2), "log_prob": normal(), "distribution_params": normal(4)}
+    acted = {
+        "raw_action": normal(2),
+        "log_prob": normal(),
+        "distribution_params": normal(4),
+        "value": normal(),
+    }
     return Transition(
         observation=normal(3),
         action=normal(2),
@@ -61,26 +66,61 @@ def test_unrolls_are_pieces_of_one_environment_in_time() -> None:
     np.testing.assert_array_equal(batch.next_observation, [[30], [31], [60], [61]])
 
 
-def test_the_loss_is_brax_s_though_less_is_kept_and_normalisation_comes_first() -> None:
-    transitions = some_transitions(num_steps=8, num_envs=3)
+@pytest.mark.parametrize(
+    ("unroll_length", "changes"),
+    [
+        (4, {}),
+        (20, {"normalize_advantage": False}),
+        (5, {"clipping_epsilon_value": 0.1, "max_grad_norm": 1.0}),
+    ],
+)
+def test_the_loss_is_brax_s_though_less_is_kept_and_normalisation_comes_first(
+    unroll_length: int, changes: dict[str, object]
+) -> None:
+    numbers = {"discounting": 0.9, "entropy_cost": 0.02, "clipping_epsilon": 0.2, "reward_scaling": 0.5}
+    settings = PPOSpec.model_validate({**SETTINGS.model_dump(), **numbers, **changes})
+    transitions = some_transitions(num_steps=2 * unroll_length, num_envs=3)
     normalizer = running_statistics.update(init_normalizer(3), 1.0 + 2.0 * transitions.observation)
-    params = init_params(make_networks(3, 2, SETTINGS), jax.random.PRNGKey(0))
+    params = init_params(make_networks(3, 2, settings), jax.random.PRNGKey(0))
     key = jax.random.PRNGKey(1)
 
-    kept = cut_into_unrolls(transitions._replace(action=()), 4)
+    kept = cut_into_unrolls(transitions._replace(action=()), unroll_length)
     kept = kept._replace(
         observation=running_statistics.normalize(kept.observation, normalizer),
         next_observation=running_statistics.normalize(kept.next_observation, normalizer),
     )
-    ours, _ = compute_ppo_loss(params, (), kept, key, make_networks(3, 2, SETTINGS, normalize=False))
+    networks = make_networks(3, 2, settings, normalize=False)
+    loss = loss_of(settings, networks, init_normalizer(3), Hyperparameters.of(settings))
+    ours, our_metrics = jax.grad(loss, has_aux=True)(params, kept, key)
 
     # Brax's own arrangement: everything, [unrolls, time, ...], and networks that normalise.
     whole = jax.tree.map(
-        lambda x: jnp.swapaxes(x.reshape((2, 4, *x.shape[1:])), 1, 2).reshape((6, 4, *x.shape[2:])),
+        lambda x: jnp.swapaxes(x.reshape((2, unroll_length, *x.shape[1:])), 1, 2).reshape(
+            (6, unroll_length, *x.shape[2:])
+        ),
         transitions,
     )
-    brax, _ = compute_ppo_loss(params, normalizer, whole, key, make_networks(3, 2, SETTINGS))
-    assert float(ours) == pytest.approx(float(brax), rel=1e-6)
+
+    def braxs_loss(params: PPONetworkParams) -> tuple[jax.Array, dict[str, jax.Array]]:
+        return compute_ppo_loss(
+            params,
+            normalizer,
+            whole,
+            key,
+            make_networks(3, 2, settings),
+            normalize_advantage=settings.normalize_advantage,
+            vf_coefficient=settings.vf_loss_coefficient,
+            clipping_epsilon_value=settings.clipping_epsilon_value,
+            gae_lambda=settings.gae_lambda,
+            **numbers,
+        )
+
+    brax, brax_metrics = jax.grad(braxs_loss, has_aux=True)(params)
+    for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(brax), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=2e-6)
+    assert our_metrics.keys() == brax_metrics.keys()
+    for name, value in brax_metrics.items():
+        assert float(our_metrics[name]) == pytest.approx(float(value), rel=2e-5, abs=1e-6), name
 
 
 class Marked(Probe):

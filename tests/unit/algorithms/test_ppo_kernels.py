@@ -10,11 +10,11 @@ import pytest
 from core.algorithms.brax_training import Transition, init_normalizer
 from core.algorithms.brax_training import networks as brax_networks
 from core.algorithms.ppo.kernels import layout
-from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Chosen, gradient
+from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, Chosen, gradient
 from core.algorithms.ppo.kernels.layout import KernelLayout, KernelSizes, rounded_up
 from core.algorithms.ppo.kernels.learn import _flattened, learn
 from core.algorithms.ppo.learner import Learner, TrainingState
-from core.algorithms.ppo.loss import ADAM, Hyperparameters, loss_of
+from core.algorithms.ppo.loss import ADAM, METRICS, Hyperparameters, loss_of
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from tests import probes

@@ -106,19 +106,6 @@ HYPERPARAMETERS = (
     "entropy_cost",
     "vf_loss_coefficient",
 )
-METRICS = (
-    "total_loss",
-    "policy_loss",
-    "v_loss",
-    "entropy_loss",
-    "kl_mean",
-    "policy_dist_mean_std",
-    "policy_dist_mean_loc",
-    "policy_dist_max_std",
-    "policy_dist_max_loc",
-    "policy_dist_min_std",
-    "policy_dist_min_loc",
-)
 # A tile's numbers for the metrics: six sums, then four largest values; the rest is padding.
 _NUM_SUMS, _NUM_LARGEST, _TOLD_BY_A_TILE = 6, 4, 16
 _NUM_WARPS = 4
@@ -149,7 +136,7 @@ class Chosen(NamedTuple):
 def gradient(
     sizes: KernelSizes, params: jax.Array, batch: Batch, chosen: Chosen, hyper: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The loss's gradient [P] by the packed parameters [P], and the loss's parts [11], see METRICS.
+    """The loss's gradient [P] by the packed parameters [P], and the loss's parts [11], see `loss.METRICS`.
 
     hyper: [6], see HYPERPARAMETERS.
     """
@@ -286,7 +273,7 @@ def _gradients(sizes: KernelSizes, refs: Any) -> None:
 
 
 def _named(sizes: KernelSizes, of_tiles: jax.Array, hyper: jax.Array) -> jax.Array:
-    """[11], see METRICS. of_tiles: [tiles, 16]."""
+    """[11], see `loss.METRICS`. of_tiles: [tiles, 16]."""
     sums = jnp.sum(of_tiles[:, :_NUM_SUMS], axis=0)
     largest = jnp.max(of_tiles[:, _NUM_SUMS : _NUM_SUMS + _NUM_LARGEST], axis=0)
     num_numbers = sizes.samples * sizes.action_size

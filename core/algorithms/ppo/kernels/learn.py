@@ -8,9 +8,9 @@ import optax
 
 from core.algorithms.brax_training import PPONetworkParams, Transition
 from core.algorithms.brax_training import networks as brax_networks
-from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Batch, Chosen, gradient
+from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, Batch, Chosen, gradient
 from core.algorithms.ppo.kernels.layout import KernelLayout, KernelSizes, rounded_up
-from core.algorithms.ppo.loss import Hyperparameters, clipped, descend
+from core.algorithms.ppo.loss import METRICS, Hyperparameters, clipped, descend
 from core.algorithms.ppo.spec import PPOSpec
 
 Learnt = tuple[PPONetworkParams, optax.ScaleByAdamState]
