@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mujoco_compiled.code.host_call import host_call
     from mujoco_compiled.code.kept_code import keep_code
     from mujoco_compiled.constraints.pairs import pairs_of_geoms
-    from mujoco_compiled.coverage import Uncovered, uncovered, uncovered_own
+    from mujoco_compiled.coverage import Uncovered, left_out, uncovered, uncovered_own
     from mujoco_compiled.data import Data, forward, make_data, put_data, step
     from mujoco_compiled.fields import MODEL_FIELDS
     from mujoco_compiled.model import Model, put_model
@@ -25,7 +25,7 @@ _WHERE = {
     "code.host_call": ("host_call",),
     "code.kept_code": ("keep_code",),
     "constraints.pairs": ("pairs_of_geoms",),
-    "coverage": ("Uncovered", "uncovered", "uncovered_own"),
+    "coverage": ("Uncovered", "left_out", "uncovered", "uncovered_own"),
     "data": ("Data", "forward", "make_data", "put_data", "step"),
     "fields": ("MODEL_FIELDS",),
     "model": ("Model", "put_model"),
@@ -42,6 +42,7 @@ __all__ = [
     "forward",
     "host_call",
     "keep_code",
+    "left_out",
     "make_data",
     "pairs_of_geoms",
     "put_data",

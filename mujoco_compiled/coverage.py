@@ -5,10 +5,11 @@ from collections.abc import Callable, Iterator, Sequence
 import mujoco
 import numpy as np
 
+from mujoco_compiled.collisions.hulls import read_hull
 from mujoco_compiled.collisions.own_boxes import fixed_boxes, says_spacing
 from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.constraints.constraints import read_constraints
-from mujoco_compiled.constraints.pairs import Pair, read_pairs
+from mujoco_compiled.constraints.pairs import Pair, meshes_left_out, read_pairs
 from mujoco_compiled.constraints.solref import is_computable
 from mujoco_compiled.fields import GEOMETRY, Fields
 from mujoco_compiled.named import named, where, word
@@ -66,6 +67,25 @@ def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
     if unknown := sorted(set(names) - set(DERIVED_FIELDS)):
         return f"{unknown[0]} is not a derived field"
     return next((why for _, why in unread_sensors(model)), None) if "sensordata" in names else None
+
+
+def left_out(model: mujoco.MjModel) -> Iterator[str]:
+    """What the stages leave out of a model that they move, in sentences such as "its geoms 'thigh' and
+    'trunk' pass through each other, as both are meshes"."""
+    if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
+        return
+    if pairs := meshes_left_out(model):
+        one, other = (named(model, "geom", number) for number in pairs[0])
+        more = f", and so do {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+        yield f"its geoms {one} and {other} pass through each other, as both are meshes{more}"
+    touching = {geom for pair in read_pairs(Fields(model)) for geom in (pair.one, pair.other)}
+    hulls = {hull.mesh: hull for geom in sorted(touching) if (hull := read_hull(model, geom))}
+    for hull in hulls.values():
+        if hull.error:
+            yield (
+                f"the hull of its mesh {named(model, 'mesh', hull.mesh)} has {len(hull.vertices)} vertices "
+                f"here, which cut off up to {1e3 * hull.error:.2g} mm"
+            )
 
 
 def uncovered_own(model: mujoco.MjModel, names: Sequence[str], derived: Sequence[str] = ()) -> str | None:

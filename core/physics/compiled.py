@@ -8,12 +8,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
+import structlog
 
 from core.errors import JobFailed
 from core.physics.availability import NEWTON_ALONE, beyond_compiled
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, SolverSettings, check_model_fields
 from core.reasons import Reason
-from mujoco_compiled import Data, Model, Uncovered, forward, make_data, put_model, step
+from mujoco_compiled import Data, Model, Uncovered, forward, left_out, make_data, put_model, step
+
+log = structlog.get_logger()
 
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 
@@ -31,6 +34,8 @@ class CompiledEngine:
         self.model, self._derived = model, derived
         with _refusing():
             self._nominal = put_model(model, nstep=num_substeps, derived=derived)
+        if sentences := list(left_out(model)):
+            log.info("physics_leaves_out", engine=self.name, sentences=sentences)
 
     def reset(
         self,

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from functools import reduce
 
 from mujoco_compiled.collisions.convex import convex_touch
-from mujoco_compiled.collisions.planes import plane_box, plane_capsule, plane_cylinder
+from mujoco_compiled.collisions.planes import plane_box, plane_capsule, plane_cylinder, plane_mesh
 from mujoco_compiled.collisions.shapes import AWAY, Placed, Touch
-from mujoco_compiled.collisions.supports import BOX, CAPSULE, CYLINDER, Convex, convex_geom
+from mujoco_compiled.collisions.supports import BOX, CAPSULE, CYLINDER, MESH, Convex, convex_geom
 from mujoco_compiled.program.arithmetic import (
     Number,
     Vector,
@@ -39,6 +39,7 @@ _ON_PLANES: Mapping[int, tuple[Callable[[Placed, Placed], list[Touch]], int]] = 
     CAPSULE: (plane_capsule, 2),
     CYLINDER: (plane_cylinder, 4),
     BOX: (plane_box, 4),
+    MESH: (plane_mesh, 4),
 }
 _HAVE_FACES = (CYLINDER, BOX)
 

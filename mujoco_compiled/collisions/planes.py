@@ -3,7 +3,9 @@
 Source: MuJoCo's documentation, Computation, "Collision detection"; `mjc_PlaneSphere` and its neighbours.
 """
 
-from mujoco_compiled.collisions.shapes import Placed, Touch
+from dataclasses import replace
+
+from mujoco_compiled.collisions.shapes import AWAY, Placed, Touch
 from mujoco_compiled.program.arithmetic import (
     Number,
     Vector,
@@ -70,6 +72,14 @@ def plane_cylinder(plane: Placed, cylinder: Placed) -> list[Touch]:
     middle = subtract(lower, scale(down, 0.5))
     points = [add(lower, down), add(upper, down), add(middle, aside), subtract(middle, aside)]
     return [_below(plane, point, 0.0) for point in points]
+
+
+def plane_mesh(plane: Placed, mesh: Placed) -> list[Touch]:
+    """Four corners, or three, of the face about the lowest vertex that is most level."""
+    assert mesh.hull is not None  # noqa: S101
+    corners, are_four = mesh.hull.lowest_face(scale(mesh.inward(plane.axis), -1.0))
+    found = [_below(plane, add(mesh.position, mesh.outward(corner)), 0.0) for corner in corners]
+    return [*found[:3], replace(found[3], distance=select(are_four, found[3].distance, AWAY))]
 
 
 def _below(plane: Placed, centre: Vector, radius: Number, along: Vector | None = None) -> Touch:

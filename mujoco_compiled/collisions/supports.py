@@ -26,9 +26,9 @@ from mujoco_compiled.program.arithmetic import (
     transpose,
 )
 
-SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = (
+SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
-    for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
+    for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")
 )
 _SMALLEST = 1e-15
 
@@ -95,6 +95,11 @@ def _of_box(geom: Placed, direction: Vector) -> Vector:
     return [_towards(x, size) for x, size in zip(direction, geom.size, strict=True)]
 
 
+def _of_mesh(geom: Placed, direction: Vector) -> Vector:
+    assert geom.hull is not None  # noqa: S101
+    return geom.hull.farthest(direction)
+
+
 def _towards(direction: Number, size: Number) -> Number:
     return select(direction < 0.0, -size, size)
 
@@ -104,4 +109,5 @@ _SUPPORTS: Mapping[int, Callable[[Placed, Vector], Vector]] = {
     ELLIPSOID: _of_ellipsoid,
     CYLINDER: _of_cylinder,
     BOX: _of_box,
+    MESH: _of_mesh,
 }

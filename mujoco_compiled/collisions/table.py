@@ -15,6 +15,7 @@ from mujoco_compiled.collisions.planes import (
     plane_capsule,
     plane_cylinder,
     plane_ellipsoid,
+    plane_mesh,
     plane_sphere,
 )
 from mujoco_compiled.collisions.shapes import Placed, Touch
@@ -74,9 +75,9 @@ def _between(one: Vector, radius: Number, other: Vector, radius_other: Number) -
 
 
 Collider = Callable[[Placed, Placed], list[Touch]]
-_PLANE, _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX = (
+_PLANE, _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
-    for name in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
+    for name in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")
 )
 
 # By the kinds of both geoms, in MuJoCo's order: what computes the points, and how many there are.
@@ -86,6 +87,7 @@ COLLIDERS: Mapping[tuple[int, int], tuple[Collider, int]] = {
     (_PLANE, _ELLIPSOID): (plane_ellipsoid, 1),
     (_PLANE, _CYLINDER): (plane_cylinder, 4),
     (_PLANE, _BOX): (plane_box, 4),
+    (_PLANE, _MESH): (plane_mesh, 4),
     (_SPHERE, _SPHERE): (sphere_sphere, 1),
     (_SPHERE, _CAPSULE): (sphere_capsule, 1),
     (_SPHERE, _CYLINDER): (sphere_cylinder, 1),
@@ -104,6 +106,7 @@ COLLIDERS: Mapping[tuple[int, int], tuple[Collider, int]] = {
             (_ELLIPSOID, _CYLINDER),
             (_CYLINDER, _CYLINDER),
             (_CYLINDER, _BOX),
+            *((kind, _MESH) for kind in (_SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX)),
         )
     },
 }

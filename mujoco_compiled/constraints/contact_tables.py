@@ -8,6 +8,7 @@ from typing import Any
 
 import mujoco
 
+from mujoco_compiled.collisions.hulls import Hull
 from mujoco_compiled.collisions.shapes import Placed, Touch
 from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.constraints.contact_slots import Slot, SlotKind
@@ -128,9 +129,10 @@ class _GeomTable:
     def rotation(self, row: Place) -> Matrix:
         return _square(self._placed.read(row, range(3, 12)))
 
-    def placed(self, row: Place) -> Placed:
+    def placed(self, row: Place, hull: Hull | None = None) -> Placed:
+        """hull: a mesh's, which rows that one loop looks at share."""
         size = [column.at(row) for column in self._sizes]
-        return Placed(self.position(row), self.rotation(row), _UNTURNED, size)
+        return Placed(self.position(row), self.rotation(row), _UNTURNED, size, hull)
 
     def _place(self, row: Place) -> Vector:
         frame, local = self._frames.row(self._body.at(row)), [column.at(row) for column in self._local]
@@ -161,7 +163,11 @@ class _Loop:
             name: column(kind.program, f"{kind.name} {number} {name}", [read(one) for one in contacts])
             for name, read in _COLUMNS.items()
         }
-        self.geoms = [lambda row, rows=rows: geoms.placed(rows.at(row)) for rows in self._rows]
+        hulls = self.first.one.hull, self.first.other.hull
+        self.geoms = [
+            lambda row, rows=rows, hull=hull: geoms.placed(rows.at(row), hull)
+            for rows, hull in zip(self._rows, hulls, strict=True)
+        ]
 
     def contact(self, row: Place) -> ContactPair:
         """The contact with the numbers of a row."""
@@ -214,7 +220,8 @@ def _looks_of_slots(contact: ContactPair) -> Hashable:
 
 def _looks_of_loops(contact: ContactPair) -> Hashable:
     """Alike for contacts whose points one routine finds."""
-    return contact.kinds, contact.parameters.spring.impedance
+    meshes = [geom.hull and geom.hull.mesh for geom in (contact.one, contact.other)]
+    return contact.kinds, contact.parameters.spring.impedance, *meshes
 
 
 def _alike(

@@ -4,11 +4,12 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Contacts".
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 
 import mujoco
 
+from mujoco_compiled.collisions.hulls import read_hull
 from mujoco_compiled.collisions.shapes import Geom, Touch, placed, read_geoms
 from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.constraints.body_rows import BodyGroup
@@ -107,8 +108,10 @@ class Push:
 def read_contacts(fields: Fields) -> tuple[ContactPair, ...]:
     """All that can touch and move."""
     model = fields.model
-    geoms, pairs = read_geoms(fields), read_pairs(fields)
+    geoms, pairs = list(read_geoms(fields)), read_pairs(fields)
     moves = [bool(geoms[pair.one].body or geoms[pair.other].body) for pair in pairs]
+    for number in {number for pair in compress(pairs, moves) for number in (pair.one, pair.other)}:
+        geoms[number] = replace(geoms[number], hull=read_hull(model, number))
     return tuple(
         ContactPair(
             one=geoms[pair.one],

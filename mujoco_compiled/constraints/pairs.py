@@ -41,13 +41,25 @@ class Pair:
 
 
 def read_pairs(fields: Fields) -> list[Pair]:
-    """The geoms that can touch: pairs that the model lists, and those that its filter lets pass."""
+    """The geoms that can touch: pairs that the model lists, and those that its filter lets pass, but for
+    `meshes_left_out`."""
     model = fields.model
-    listed = listed_geoms(model)
+    listed, left_out = listed_geoms(model), set(meshes_left_out(model))
     found = [_pair(model, one, other, _of_pair(fields, place)) for place, (one, other) in enumerate(listed)]
     return found + [
-        _pair(model, one, other, _of_geoms(fields, one, other)) for one, other in touching_geoms(model)
+        _pair(model, one, other, _of_geoms(fields, one, other))
+        for one, other in touching_geoms(model)
+        if (one, other) not in left_out
     ]
+
+
+def meshes_left_out(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    """Numbers of two meshes that may touch in MuJoCo, and do not here: the parts of a robot's shell. Those
+    that the model lists as pairs are not among them."""
+    is_mesh = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
+    if np.count_nonzero(is_mesh) < 2:
+        return []
+    return [(one, other) for one, other in touching_geoms(model) if is_mesh[one] and is_mesh[other]]
 
 
 def pairs_of_geoms(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:

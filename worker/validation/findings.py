@@ -21,6 +21,7 @@ from core.errors import BadModel, JobFailed
 from core.physics.availability import EngineName
 from core.physics.coverage import check_runs, unread_by_engine
 from core.user_models.record import Description
+from mujoco_compiled import left_out
 from worker.validation.letting_go import let_go, notes
 from worker.validation.trials import tried, what_keeps, with_choices
 
@@ -61,6 +62,7 @@ def findings(file: Path) -> Iterator[Description]:
             *notes(model, found, fall),
             *_of_the_default_reward(model),
             *([] if model.nu else [_NO_ACTUATORS]),
+            *(f"On the engine `compiled`, {one}." for one in left_out(model) if engines["compiled"] is None),
         ],
         recipe=walking.options or None,
         recipe_notes=list(walking.notes),
@@ -132,7 +134,7 @@ def _with_a_remedy(why: str, spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
         return why
     if edits is None:
         return why
-    changes = edits.model_dump(include={"floor", "collide", *(["primitives"] if edits.primitives else [])})
+    changes = edits.model_dump(include={"floor", "collide"})
     return f"{why} Or let less of it collide: `edits` {json.dumps(changes)}."
 
 

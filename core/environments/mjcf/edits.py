@@ -73,16 +73,13 @@ def edit(spec: mujoco.MjSpec, edits: ModelEdits) -> None:
 
 
 def edits_for_compiled(spec: mujoco.MjSpec) -> ModelEdits | None:
-    """The least change of what collides with which the engine `compiled` runs the model; None if none helps.
+    """The change of what collides with which the engine `compiled` runs the model; None if it does not help.
 
     The specification stays as it is. Raises JobFailed("bad_model") if it does not compile.
     """
-    for fits in ([], [Fit()]):
-        edits = ModelEdits(floor=True, collide="floor", primitives=fits)
-        edit(changed := spec.copy(), edits)
-        if uncovered(compiled(changed)) is None:
-            return edits
-    return None
+    edits = ModelEdits(floor=True, collide="floor")
+    edit(changed := spec.copy(), edits)
+    return edits if uncovered(compiled(changed)) is None else None
 
 
 def without_drawings(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjSpec:

@@ -1,10 +1,12 @@
 """What the stages cannot move is found, and named."""
 
 import mujoco
+import numpy as np
 import pytest
 
 from core.physics.model import brax_model
-from mujoco_compiled.coverage import MOST_POINTS, uncovered
+from mujoco_compiled.collisions.hulls import MOST_VERTICES, read_hull
+from mujoco_compiled.coverage import MOST_POINTS, left_out, uncovered
 
 BODY = """
 <mujoco>
@@ -94,3 +96,47 @@ def test_more_points_than_there_is_room_for_are_refused() -> None:
       </worldbody></mujoco>
     """)
     assert f"more than {MOST_POINTS:,}" in (uncovered(model) or "")
+
+
+MESHES = """
+<mujoco><asset><mesh name="shell" vertex="{}"/></asset><worldbody>
+  <geom type="plane" size="5 5 1"/>
+  <body name="trunk"><freejoint/><geom name="trunk" type="mesh" mesh="shell"/>
+    <body pos="0 0 1"><joint/><geom size="0.1"/>
+      <body pos="0 0 1"><joint/><geom name="shin" type="mesh" mesh="shell"/></body></body>
+  </body>
+</worldbody>{}</mujoco>
+"""
+
+
+def shells(num_corners: int, more: str = "") -> mujoco.MjModel:
+    corners = np.random.default_rng(0).normal(size=(num_corners, 3))
+    corners *= 0.1 / np.linalg.norm(corners, axis=1)[:, None]
+    return mujoco.MjModel.from_xml_string(MESHES.format(" ".join(f"{x:.5f}" for x in corners.ravel()), more))
+
+
+def test_meshes_that_pass_through_each_other_are_said() -> None:
+    model = shells(20)
+    assert uncovered(model) is None
+    assert list(left_out(model)) == [
+        "its geoms 'trunk' and 'shin' pass through each other, as both are meshes"
+    ]
+    listed = shells(20, '<contact><pair geom1="trunk" geom2="shin"/></contact>')
+    assert "'trunk' and 'shin' can touch: a mesh and a mesh" in (uncovered(listed) or "")
+    model.opt.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT
+    assert list(left_out(model)) == []
+
+
+def test_what_a_simpler_hull_cuts_off_is_said() -> None:
+    model = shells(MOST_VERTICES + 50)
+    assert uncovered(model) is None
+    _, said = left_out(model)
+    assert said.startswith(
+        f"the hull of its mesh 'shell' has {MOST_VERTICES} vertices here, which cut off up"
+    )
+    hull = read_hull(model, int(model.geom("trunk").id))
+    # 50 of 306 corners of a ball of 0.1 m, each 2 mm and less above the chord between its neighbours.
+    assert hull is not None
+    assert 1e-5 < hull.error < 2e-3
+    reach = max(np.linalg.norm(vertex) for vertex in hull.vertices)
+    assert reach < 0.102

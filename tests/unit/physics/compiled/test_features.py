@@ -21,7 +21,6 @@ DEFAULT = ("closed_leg", "condim_6", "imu", "servos")
 REFUSED = {
     "delays": "its actuator number 0 acts with a delay",
     "height_field": "its geoms 'ground' and number 2 can touch: a hfield and a sphere",
-    "mesh_feet": "its geoms 'floor' and number 3 can touch: a plane and a mesh",
 }
 NAMES = sorted(file.stem for file in FOLDER.iterdir())
 
