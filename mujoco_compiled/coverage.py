@@ -220,8 +220,6 @@ def _joints(model: mujoco.MjModel) -> Iterator[str]:
     yield from where(model, "joint", rough, _CURVE, joint_of)
     limited = (model.jnt_limited != 0) & _keeps_limits(model)
     yield from where(model, "joint", limited & _uncomputable(model.jnt_solimp), _CURVE)
-    both_ends = limited & ~rotates & (np.ptp(model.jnt_range, axis=1) < 2.0 * model.jnt_margin)
-    yield from where(model, "joint", both_ends, "can be at both ends of its range at once")
 
 
 def _tendons(model: mujoco.MjModel) -> Iterator[str]:
@@ -240,8 +238,6 @@ def _tendons(model: mujoco.MjModel) -> Iterator[str]:
     moves_nothing = "moves nothing in the model's own pose, and has a limit or friction"
     yield from where(model, "tendon", idle, moves_nothing)
     yield from where(model, "tendon", limited & _uncomputable(model.tendon_solimp_lim), _CURVE)
-    both_ends = limited & (np.ptp(model.tendon_range, axis=1) < 2.0 * model.tendon_margin)
-    yield from where(model, "tendon", both_ends, "can be at both ends of its range at once")
     yield from where(model, "tendon", model.tendon_actfrclimited, "limits its actuators' forces")
 
 

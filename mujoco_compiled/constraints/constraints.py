@@ -25,7 +25,7 @@ from mujoco_compiled.constraints.limits import (
     BallLimit,
     Limit,
     ball_limit_row,
-    limit_row,
+    limit_rows,
     read_ball_limits,
     read_limits,
 )
@@ -110,7 +110,7 @@ def constraint_rows(
         *(row for tie in constraints.ties for row in tie_rows(tree, tie, at, moving, state.qvel)),
         *(coupling_row(one, stretched, state.qvel) for one in constraints.couplings),
         *(friction_row(one, stretched(one.path), state.qvel) for one in constraints.frictions),
-        *(limit_row(one, stretched(one.path), state.qvel) for one in constraints.limits),
+        *(row for one in constraints.limits for row in limit_rows(one, stretched(one.path), state.qvel)),
         *(ball_limit_row(limit, state.qpos, state.qvel) for limit in constraints.ball_limits),
         *(group for _, group in touching),
     ]

@@ -41,13 +41,15 @@ _SMALLEST = 1e-30
 class Limit:
     """The range of a hinge, a slide or a tendon, in rad or m.
 
-    inverse_weight: MuJoCo's `dof_invweight0` or `tendon_invweight0`.
+    is_narrow: whether both ends can be nearer than the margin. inverse_weight: MuJoCo's `dof_invweight0` or
+    `tendon_invweight0`.
     """
 
     path: Path
     low: float
     high: float
     margin: float
+    is_narrow: bool
     spring: SpringDamper
     inverse_weight: Number
 
@@ -77,11 +79,18 @@ def read_ball_limits(fields: Fields) -> tuple[BallLimit, ...]:
     return tuple(_ball_limit(fields, joint) for joint in _limited(model) if _is_ball(model, joint))
 
 
-def limit_row(limit: Limit, stretched: Stretch, qvel: Vector) -> RowGroup:
-    """The nearer end of the range: both are never active at once. stretched: of the limit's path."""
+def limit_rows(limit: Limit, stretched: Stretch, qvel: Vector) -> list[RowGroup]:
+    """The nearer end of the range; both where both can be active at once. stretched: of the limit's path."""
     above, below = stretched.length - limit.low, limit.high - stretched.length
-    sign = select(above < below, 1.0, -1.0)
-    distance = minimum(above, below) - limit.margin
+    ends = [(above, 1.0), (below, -1.0)]
+    if not limit.is_narrow:
+        ends = [(minimum(above, below), select(above < below, 1.0, -1.0))]
+    return [_limit_row(limit, stretched, qvel, *end) for end in ends]
+
+
+def _limit_row(limit: Limit, stretched: Stretch, qvel: Vector, room: Number, sign: Number) -> RowGroup:
+    """room: how far the end is away. sign: of the direction away from it."""
+    distance = room - limit.margin
     impedance = impedance_at(limit.spring.impedance, distance)
     stiffness = stiffness_at(impedance, limit.inverse_weight, distance)
     reference = reference_at(limit.spring, impedance, distance, sign * stretched.rate(qvel))
@@ -122,6 +131,7 @@ def _limit(fields: Fields, joint: int) -> Limit:
         low=float(model.jnt_range[joint, 0]),
         high=float(model.jnt_range[joint, 1]),
         margin=float(model.jnt_margin[joint]),
+        is_narrow=bool(np.ptp(model.jnt_range[joint]) < 2.0 * model.jnt_margin[joint]),
         spring=read_spring(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
         inverse_weight=fields.number("dof_invweight0", dof),
     )
@@ -137,6 +147,7 @@ def _tendon_limits(fields: Fields) -> Iterator[Limit]:
                 low=float(model.tendon_range[number, 0]),
                 high=float(model.tendon_range[number, 1]),
                 margin=float(model.tendon_margin[number]),
+                is_narrow=bool(np.ptp(model.tendon_range[number]) < 2.0 * model.tendon_margin[number]),
                 spring=read_spring(fields.row("tendon_solref_lim", number), solimp, model.opt.timestep),
                 inverse_weight=fields.number("tendon_invweight0", number),
             )

@@ -23,6 +23,7 @@ from mujoco_compiled.smooth.spatial import rotation_vector
 from mujoco_compiled.smooth.tendons import tendon_forces, with_armature, with_tendons
 from mujoco_compiled.substep import Model, SubstepState, control_step, read_model, substep
 from tests.unit.physics.compiled.recorded_substep import recorded
+from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
 from tests.unit.physics.compiled.test_substep import THOROUGH, converge
 
 NUM_STATES = 8
@@ -169,11 +170,6 @@ def test_forces_are_mujoco_s(option: str, flag: str) -> None:
 @pytest.mark.parametrize(
     ("mine", "other", "reason"),
     [
-        (
-            '<fixed name="across" ',
-            '<fixed name="across" range="0 1" margin="1" ',
-            "at both ends",
-        ),
         ("<tendon>", f"<tendon>{ROPE}", "'rope' is a spatial one and has an armature"),
         ('<velocity joint="shoulder"', '<position joint="shoulder"', "holds a joint with several axes"),
         ("<velocity joint", "<velocity jointinparent", "in its parent's frame"),
@@ -284,6 +280,17 @@ def test_springs_and_dampers_that_are_not_linear_are_mujoco_s(option: str) -> No
     ours, state, ctrl = read_model(model), state_of(datas), of_all(datas, "ctrl")
     assert_forces_are_mujoco_s(model, datas)
     assert_close(substep(ours, state, ctrl).qvel, of_all(datas, "qvel"))
+
+
+def test_both_ends_of_a_narrow_range_are_mujoco_s_rows() -> None:
+    narrow = PULLED.format(option="", flag="")
+    for name, mine in (("range", '<fixed name="across"'), ("range", '<joint name="hip"')):
+        narrow = narrow.replace(mine, f'{mine} limited="true" {name}="-0.3 0.3" margin="1"')
+    model = mujoco.MjModel.from_xml_string(narrow)
+    assert uncovered(model) is None
+    datas = random_states(model, 0.3)
+    assert max(data.nefc for data in datas) == 4
+    assert_same_rows(model, datas)
 
 
 def test_a_mocap_body_stands_still_and_is_leant_on() -> None:
