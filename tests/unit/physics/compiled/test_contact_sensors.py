@@ -6,9 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.environments.brittle_star.model import star_model
-from core.environments.brittle_star.options import DirectedOptions
-from core.physics.model import initial_qpos
 from mujoco_compiled.coverage import uncovered, uncovered_fields
 from mujoco_compiled.fields import Fields
 from mujoco_compiled.readings.scene import Scene
@@ -17,13 +14,12 @@ from mujoco_compiled.substep import (
     Model,
     Moved,
     SubstepState,
-    control_step,
     read_model,
     readings_by_sensor,
     unmoved,
     with_sensors,
 )
-from mujoco_compiled.tests.states import converge, of_all, relative
+from mujoco_compiled.tests.states import converge, of_all
 from tests.unit.physics.compiled.test_contacts import PLANE, at_random, meeting
 
 # Sites about a ball, a rod and a box, each larger than its geom by half the contacts' margin.
@@ -73,23 +69,6 @@ def test_contacts_are_felt_as_in_mujoco(right: str, option: str, default: str) -
     assert sum(np.abs(values).any() for values in theirs) > 4
     for mine, expected in zip(values_of(ours, model, moved), theirs, strict=True):
         np.testing.assert_allclose(np.broadcast_to(mine, len(datas)), expected, rtol=1e-8, atol=1e-8)
-
-
-@pytest.mark.extra
-def test_the_star_feels_the_ground_of_the_last_substep() -> None:
-    model = converge(star_model(DirectedOptions()), implicit_damping=False)
-    ours, datas = sensing(model), [mujoco.MjData(model) for _ in range(4)]
-    generator = np.random.default_rng(0)
-    for data in datas:
-        data.qpos[:] = initial_qpos(model)
-        data.ctrl[:] = generator.uniform(-0.5, 0.5, size=model.nu)
-        mujoco.mj_step(model, data, 50)
-    state = SubstepState(of_all(datas, "qpos"), of_all(datas, "qvel"), [], of_all(datas, "qacc_warmstart"))
-    moved = control_step(ours, 3, state, of_all(datas, "ctrl"))
-    for data in datas:
-        mujoco.mj_step(model, data, 3)
-    assert relative(values_of(ours, model, moved), of_all(datas, "sensordata")) < 1e-6
-    assert all(data.sensordata.any() for data in datas)
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.environments.dm_control.corridor.info import CorridorOptions
-from core.environments.dm_control.corridor.model import corridor_model
 from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.substep import SubstepState, read_model
 from mujoco_compiled.tests.states import THOROUGH, converge, of_all, relative
@@ -110,28 +108,6 @@ def step_converged(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         mujoco.mj_forward(model, data)
         data.qacc_warmstart[:] = data.qacc
     mujoco.mj_step(model, data)
-
-
-@pytest.mark.extra
-def test_the_ant_moves_in_its_corridor_as_in_mujoco() -> None:
-    model = converge(corridor_model(CorridorOptions()), implicit_damping=True)
-    assert uncovered(model) is None
-    generator, datas = np.random.default_rng(0), list[mujoco.MjData]()
-    # At the end of the first platform, on a gap, in a gap and beside the floor.
-    for x, y, z in ((5.9, 0.0, 0.4), (7.6, 0.1, 0.3), (7.7, 0.0, 0.0), (10.5, 2.5, 0.3)):
-        data = mujoco.MjData(model)
-        data.qpos[:3] = x, y, z
-        data.qvel[:] = generator.normal(size=model.nv)
-        for step in range(1, 81):
-            if step % 20 == 1:
-                data.ctrl[:] = generator.uniform(-1.0, 1.0, size=model.nu)
-            mujoco.mj_step(model, data)
-            if step % 20 == 0:
-                kept = mujoco.MjData(model)
-                mujoco.mj_copyData(kept, model, data)
-                datas.append(kept)
-    assert_same_rows(model, [after_forward(model, data) for data in datas])
-    assert_moves_as_mujoco(model, datas)
 
 
 # On two platforms with a gap between them, and on each other.

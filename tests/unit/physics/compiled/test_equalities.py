@@ -1,6 +1,7 @@
 """Equalities, which close loops and couple joints, against C MuJoCo."""
 
 from copy import copy
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.compiled import CompiledEngine
+from mujoco_compiled import make_data, put_model, step
 from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.write import control_step_in_lanes
 from tests.extra import extra
@@ -230,13 +231,12 @@ def test_a_tied_body_moves_as_in_mujoco(name: str) -> None:
 def test_machine_code_moves_a_tied_body_as_mujoco_does(name: str) -> None:
     model = mujoco.MjModel.from_xml_string(BODIES[name])
     assert uncovered(model) is None
-    engine, generator = CompiledEngine(model, 10, ()), np.random.default_rng(0)
+    m, generator = put_model(model, nstep=10), np.random.default_rng(0)
     qvel, ctrl = (0.1 * generator.normal(size=(4, size)) for size in (model.nv, model.nu))
-    qpos = jnp.tile(jnp.asarray(model.qpos0, jnp.float32), (4, 1))
-    state = jax.vmap(engine.reset)(qpos, jnp.asarray(qvel, jnp.float32))
-    step = jax.jit(jax.vmap(engine.step))
+    begun = jax.vmap(lambda qvel, ctrl: make_data(m).replace(qvel=qvel, ctrl=ctrl))
+    state, moved = begun(jnp.asarray(qvel), jnp.asarray(ctrl)), jax.jit(jax.vmap(partial(step, m)))
     for _ in range(5):
-        state = step(state, jnp.asarray(ctrl, jnp.float32))
+        state = moved(state)
     for place in range(4):
         data = mujoco.MjData(model)
         data.qvel[:], data.ctrl[:] = qvel[place], ctrl[place]

@@ -12,7 +12,6 @@ from mujoco_compiled.program.program import Assign, Program, Statement
 from mujoco_compiled.tests.states import of_all, states
 from mujoco_compiled.write import Plan, control_step_in_lanes, control_step_program
 from tests.extra import extra
-from tests.unit.physics.compiled.test_substep import of_environment
 
 _FIELDS = ("qpos", "qvel", "qacc_warmstart", "ctrl")
 
@@ -44,20 +43,6 @@ def assert_moves_alike(plan: Plan, lanes: Program) -> None:
 )
 def test_a_body_moves_alike_with_a_limb_in_each_lane(name: str, num_lanes: int, least_saving: float) -> None:
     plan = plan_of(brax_model(name), ("qfrc_actuator", "subtree_com", "cvel"))
-    lanes, whole = control_step_in_lanes(plan, 2), control_step_program(plan, 2)
-    assert lanes.num_lanes == num_lanes
-    assert num_operations(whole.statements) > least_saving * num_operations(lanes.statements)
-    assert_moves_alike(plan, lanes)
-
-
-@pytest.mark.extra
-@pytest.mark.parametrize(
-    ("name", "num_lanes", "least_saving"), [("corridor", 4, 2.5), ("brittle_star", 5, 3.5)]
-)
-def test_limbs_touch_each_for_itself(name: str, num_lanes: int, least_saving: float) -> None:
-    """Contacts are computed only where geoms touch: limbs of one body differ in that."""
-    model, _ = of_environment(name)
-    plan = plan_of(model)
     lanes, whole = control_step_in_lanes(plan, 2), control_step_program(plan, 2)
     assert lanes.num_lanes == num_lanes
     assert num_operations(whole.statements) > least_saving * num_operations(lanes.statements)

@@ -1,6 +1,5 @@
 """Passive forces, actuators and integrators against C MuJoCo, without contacts."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -8,9 +7,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.environments.brittle_star.model import star_model
-from core.environments.brittle_star.options import DirectedOptions
-from core.environments.dm_control.rodent.model import rodent_model
 from mujoco_compiled.coverage import uncovered, uncovered_own
 from mujoco_compiled.program.arithmetic import Vector, add
 from mujoco_compiled.smooth.actuation import ActuatorState, actuator_stretch, driven
@@ -204,21 +200,6 @@ def test_a_body_without_contacts_moves_as_in_mujoco(option: str, flag: str) -> N
             assert_close(substep(ours, state, ctrl).qvel, of_all(datas, "qvel"))
     for field in ("qpos", "qvel", "act", "qfrc_actuator"):
         assert_close(getattr(after, field), of_all(datas, field), 1e-9)
-
-
-@pytest.mark.parametrize(
-    "build",
-    [
-        lambda: rodent_model(0.002),
-        lambda: star_model(DirectedOptions()),
-        lambda: star_model(DirectedOptions(walls="contacts")),
-    ],
-    ids=["rodent", "bound star", "free star"],
-)
-def test_forces_on_real_bodies_are_mujoco_s(build: Callable[[], mujoco.MjModel]) -> None:
-    """The rodent has actuators with activations on tendons, the brittle star is in a fluid."""
-    model = build()
-    assert_forces_are_mujoco_s(model, random_states(model, 0.1))
 
 
 SITES = """
