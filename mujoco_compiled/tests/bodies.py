@@ -1,9 +1,12 @@
-"""Bodies that many know: those of the wheel `brax`."""
+"""Bodies that several tests take: those of the wheel `brax`, and small files."""
 
 from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
+
+# Models that have one feature each, as files of real robots have it.
+FEATURES = Path(__file__).parent / "features"
 
 
 def brax_model(name: str) -> mujoco.MjModel:

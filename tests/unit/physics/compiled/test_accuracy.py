@@ -23,8 +23,8 @@ from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.program import Program
 from mujoco_compiled.substep import SubstepState, read_model, substep
 from mujoco_compiled.tests.states import Arrays, converge, of_all, relative_of_each, states
+from mujoco_compiled.tests.test_machine_code import run
 from tests.extra import extra
-from tests.unit.physics.compiled.test_machine_code import run
 from tests.unit.physics.compiled.test_substep import of_environment
 
 NUM_STATES = 512

@@ -14,13 +14,13 @@ from core.environments.dm_control.rodent.model import rodent_model
 from core.physics.model import initial_qpos
 from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.substep import SubstepState, control_step
+from mujoco_compiled.tests.rows_of_mujoco import assert_same_rows
 from mujoco_compiled.tests.states import converge, of_all, relative
+from mujoco_compiled.tests.test_contact_sensors import sensing, values_of
+from mujoco_compiled.tests.test_contact_substep import after_forward, assert_moves_as_mujoco
+from mujoco_compiled.tests.test_fold import assert_moves_alike, num_operations, plan_of
+from mujoco_compiled.tests.test_forces import assert_forces_are_mujoco_s, random_states
 from mujoco_compiled.write import control_step_in_lanes, control_step_program
-from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
-from tests.unit.physics.compiled.test_contact_sensors import sensing, values_of
-from tests.unit.physics.compiled.test_contact_substep import after_forward, assert_moves_as_mujoco
-from tests.unit.physics.compiled.test_fold import assert_moves_alike, num_operations, plan_of
-from tests.unit.physics.compiled.test_forces import assert_forces_are_mujoco_s, random_states
 from tests.unit.physics.compiled.test_substep import of_environment
 
 

@@ -24,9 +24,9 @@ from core.environments import catalog
 from core.physics.choose import engine_builder
 from core.physics.engine import Engine, SolverSettings
 from mujoco_compiled.substep import SubstepState, read_model
+from mujoco_compiled.tests.recorded_substep import recorded
 from mujoco_compiled.tests.states import THOROUGH, converge, of_all, relative, states
 from tests.extra import extra
-from tests.unit.physics.compiled.recorded_substep import recorded
 
 # How joints are damped in training. Those that NumPy moves in a tenth of a second, and others.
 QUICK = {"ant": False, "half_cheetah": True, "hopper": True, "walker2d": True, "humanoid": False}

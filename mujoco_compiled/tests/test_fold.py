@@ -4,14 +4,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.model import brax_model
 from mujoco_compiled.lanes.lane_constants import NotAlike
 from mujoco_compiled.lanes.limbs import find_limbs
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.program import Assign, Program, Statement
+from mujoco_compiled.tests.bodies import brax_model
+from mujoco_compiled.tests.extra import extra
 from mujoco_compiled.tests.states import of_all, states
 from mujoco_compiled.write import Plan, control_step_in_lanes, control_step_program
-from tests.extra import extra
 
 _FIELDS = ("qpos", "qvel", "qacc_warmstart", "ctrl")
 

@@ -9,10 +9,10 @@ import pytest
 
 from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.substep import SubstepState, read_model
+from mujoco_compiled.tests.extra import extra
+from mujoco_compiled.tests.recorded_substep import recorded
+from mujoco_compiled.tests.rows_of_mujoco import assert_same_rows
 from mujoco_compiled.tests.states import THOROUGH, converge, of_all, relative
-from tests.extra import extra
-from tests.unit.physics.compiled.recorded_substep import recorded
-from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
 
 NUM_STATES, NUM_SUBSTEPS = 12, 20
 # A quadruped's trunk and two limbs that hit each other, on the ground and on a step.

@@ -10,8 +10,8 @@ from mujoco_compiled.program.flow import repeat, where_needed
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.program import Program
 from mujoco_compiled.substep import SubstepState, control_step, read_model
+from mujoco_compiled.tests.extra import extra
 from mujoco_compiled.tests.states import NUM_STATES, converged, of_all, states
-from tests.extra import extra
 
 WIDTH = 8
 

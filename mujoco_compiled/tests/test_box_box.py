@@ -24,8 +24,8 @@ from mujoco_compiled.collisions.box_box import box_box
 from mujoco_compiled.collisions.shapes import Placed, Touch
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.program import Program
-from tests.unit.physics.compiled.test_ellipsoid_box import UNTURNED
-from tests.unit.physics.compiled.test_machine_code import run
+from mujoco_compiled.tests.test_ellipsoid_box import UNTURNED
+from mujoco_compiled.tests.test_machine_code import run
 
 Array = NDArray[np.float64]
 NUM_STATES = 400

@@ -7,18 +7,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.engine import MODEL_FIELDS
-from core.physics.model import GEOMETRY, model_field
+from mujoco_compiled import MODEL_FIELDS
 from mujoco_compiled.coverage import uncovered, uncovered_own
-from mujoco_compiled.fields import Fields
+from mujoco_compiled.fields import GEOMETRY, Fields, model_field
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.program import Program
 from mujoco_compiled.readings.derived import derived
 from mujoco_compiled.readings.scene import Scene
 from mujoco_compiled.substep import SubstepState, read_model, substep
-from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
-from tests.unit.physics.compiled.test_contacts import BALL, ROD, at_random, meeting
-from tests.unit.physics.compiled.test_forces import (
+from mujoco_compiled.tests.rows_of_mujoco import assert_same_rows
+from mujoco_compiled.tests.test_contacts import BALL, ROD, at_random, meeting
+from mujoco_compiled.tests.test_forces import (
     PULLED,
     assert_close,
     of_all,

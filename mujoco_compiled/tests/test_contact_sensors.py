@@ -20,7 +20,7 @@ from mujoco_compiled.substep import (
     with_sensors,
 )
 from mujoco_compiled.tests.states import converge, of_all
-from tests.unit.physics.compiled.test_contacts import PLANE, at_random, meeting
+from mujoco_compiled.tests.test_contacts import PLANE, at_random, meeting
 
 # Sites about a ball, a rod and a box, each larger than its geom by half the contacts' margin.
 FELT_BALL = '<geom name="left" type="sphere" size="0.2" pos="0.05 0 0"/><site name="left" size="0.36"/>'

@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.model import brax_model
 from mujoco_compiled.collisions.hulls import MOST_VERTICES, read_hull
 from mujoco_compiled.coverage import MOST_POINTS, left_out, uncovered
+from mujoco_compiled.tests.bodies import brax_model
 
 BODY = """
 <mujoco>

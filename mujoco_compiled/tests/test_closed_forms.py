@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.program import Program
 from mujoco_compiled.substep import SubstepState, control_step, read_model
+from mujoco_compiled.tests.extra import extra
 from mujoco_compiled.tests.states import THOROUGH
-from tests.extra import extra
-from tests.unit.physics.compiled.test_machine_code import run
+from mujoco_compiled.tests.test_machine_code import run
 
 Array = NDArray[np.floating]
 GRAVITY = 9.81

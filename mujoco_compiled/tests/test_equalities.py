@@ -11,11 +11,11 @@ import pytest
 
 from mujoco_compiled import make_data, put_model, step
 from mujoco_compiled.coverage import uncovered
+from mujoco_compiled.tests.extra import extra
+from mujoco_compiled.tests.rows_of_mujoco import assert_same_rows, rows_of
+from mujoco_compiled.tests.test_fold import assert_moves_alike, plan_of
+from mujoco_compiled.tests.test_random_models import compare
 from mujoco_compiled.write import control_step_in_lanes
-from tests.extra import extra
-from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows, rows_of
-from tests.unit.physics.compiled.test_fold import assert_moves_alike, plan_of
-from tests.unit.physics.compiled.test_random_models import compare
 
 TIED = """
 <mujoco>

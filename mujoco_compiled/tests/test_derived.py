@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.model import brax_model
 from mujoco_compiled.coverage import uncovered_fields
 from mujoco_compiled.fields import Fields
 from mujoco_compiled.readings.derived import DERIVED_FIELDS, derived
 from mujoco_compiled.readings.scene import Scene
+from mujoco_compiled.tests.bodies import brax_model
 
 NUM_STATES = 8
 OF_A_STATE = tuple(name for name in DERIVED_FIELDS if name != "qfrc_actuator")

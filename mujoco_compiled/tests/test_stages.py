@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.physics.model import brax_model
 from mujoco_compiled.program.arithmetic import Vector
 from mujoco_compiled.smooth.actuation import ActuatorState, actuator_stretch, driven, read_actuators
 from mujoco_compiled.smooth.dynamics import Entries, bias_forces, mass_matrix, motion
@@ -17,7 +16,8 @@ from mujoco_compiled.smooth.forces import passive_forces
 from mujoco_compiled.smooth.kinematics import poses
 from mujoco_compiled.smooth.paths import Posture
 from mujoco_compiled.smooth.tree import Tree, read_tree
-from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
+from mujoco_compiled.tests.bodies import brax_model
+from mujoco_compiled.tests.rows_of_mujoco import assert_same_rows
 
 NUM_STATES = 16
 # A ball joint off its body's origin, two joints of one body, a tilted inertia, two trees, one fixed.

@@ -9,7 +9,7 @@ from mujoco_compiled.constraints.rows import RowGroup, by_group, curvature, pull
 from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.fields import NOMINAL
 from mujoco_compiled.program.arithmetic import Vector
-from tests.unit.physics.compiled.rows_of_mujoco import Array, assert_same_rows, rows_of
+from mujoco_compiled.tests.rows_of_mujoco import Array, assert_same_rows, rows_of
 
 NUM_STATES = 100
 # Two arms of a tree whose ends meet, and what stands still.

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.program.arithmetic import Vector
 from mujoco_compiled.substep import Model, SubstepState, read_model
+from mujoco_compiled.tests.random_models import random_model
+from mujoco_compiled.tests.recorded_substep import recorded
 from mujoco_compiled.tests.states import THOROUGH, Arrays, converge, of_all
-from tests.unit.physics.compiled.random_models import random_model
-from tests.unit.physics.compiled.recorded_substep import recorded
 
 NUM_STATES, MOST, MOST_SPEED = 8, 1e-9, 1e3
 NUM_MODELS = 24

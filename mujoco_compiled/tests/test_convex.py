@@ -16,8 +16,8 @@ from mujoco_compiled.collisions.planes import plane_mesh
 from mujoco_compiled.collisions.shapes import AWAY, Placed, Touch
 from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.program.program import Program
-from tests.unit.physics.compiled.test_ellipsoid_box import UNTURNED
-from tests.unit.physics.compiled.test_machine_code import run
+from mujoco_compiled.tests.test_ellipsoid_box import UNTURNED
+from mujoco_compiled.tests.test_machine_code import run
 
 Array = NDArray[np.float64]
 NUM_STATES, MARGIN = 200, 0.02

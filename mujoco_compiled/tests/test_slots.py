@@ -14,8 +14,8 @@ from mujoco_compiled.program.arithmetic import Number, cosine, dot, maximum, sel
 from mujoco_compiled.program.flow import repeat, where_needed
 from mujoco_compiled.program.program import Program
 from mujoco_compiled.substep import SubstepState, control_step, read_model
+from mujoco_compiled.tests.extra import extra
 from mujoco_compiled.tests.states import converged, of_all, states
-from tests.extra import extra
 
 WIDTH = 8
 NUM_ENVS = 19  # Two whole vectors and a part of one.

@@ -1,6 +1,6 @@
 """Free bodies that carry no joints, under `implicitfast`."""
 
-from tests.unit.physics.compiled.test_random_models import compare
+from mujoco_compiled.tests.test_random_models import compare
 
 BODIES = """
 <mujoco>

@@ -12,10 +12,10 @@ from mujoco_compiled.smooth.actuation import ActuatorState, driven, read_actuato
 from mujoco_compiled.smooth.paths import Stretch
 from mujoco_compiled.smooth.tree import read_tree
 from mujoco_compiled.substep import read_model
-from tests.unit.physics.compiled.recorded_substep import recorded
-from tests.unit.physics.compiled.test_features import FOLDER
-from tests.unit.physics.compiled.test_forces import assert_close, of_all, random_states, state_of
-from tests.unit.physics.compiled.test_substep import THOROUGH, converge
+from mujoco_compiled.tests.bodies import FEATURES
+from mujoco_compiled.tests.recorded_substep import recorded
+from mujoco_compiled.tests.states import THOROUGH, converge
+from mujoco_compiled.tests.test_forces import assert_close, of_all, random_states, state_of
 
 NUM_STATES = 2000
 PULLEY = """
@@ -69,7 +69,7 @@ def models() -> Iterator[tuple[str, mujoco.MjModel]]:
         for kind in KINDS[1:]:
             yield f"{integrator} {kind}", pulley(kind, integrator)
     for name in ("muscles", "arm_of_muscles", "leg_of_muscles"):
-        yield name, mujoco.MjModel.from_xml_path(str(FOLDER / f"{name}.xml"))
+        yield name, mujoco.MjModel.from_xml_path(str(FEATURES / f"{name}.xml"))
 
 
 @pytest.mark.parametrize(("name", "model"), [pytest.param(*one, id=one[0]) for one in models()])

@@ -18,9 +18,9 @@ from mujoco_compiled.smooth.paths import Posture
 from mujoco_compiled.smooth.spatial import rotation_vector
 from mujoco_compiled.smooth.tendons import tendon_forces, with_armature, with_tendons
 from mujoco_compiled.substep import Model, SubstepState, control_step, read_model, substep
-from tests.unit.physics.compiled.recorded_substep import recorded
-from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
-from tests.unit.physics.compiled.test_substep import THOROUGH, converge
+from mujoco_compiled.tests.recorded_substep import recorded
+from mujoco_compiled.tests.rows_of_mujoco import assert_same_rows
+from mujoco_compiled.tests.states import THOROUGH, converge
 
 NUM_STATES = 8
 PULLED = """

@@ -17,11 +17,11 @@ from mujoco_compiled.smooth.paths import Posture
 from mujoco_compiled.smooth.tendons import read_tendons, with_tendons
 from mujoco_compiled.smooth.tree import read_tree
 from mujoco_compiled.substep import read_model
+from mujoco_compiled.tests.random_models import random_strings
+from mujoco_compiled.tests.recorded_substep import recorded
 from mujoco_compiled.tests.states import THOROUGH, converge
+from mujoco_compiled.tests.test_forces import assert_close, of_all, random_states, state_of
 from mujoco_compiled.write import Plan, control_step_in_lanes
-from tests.unit.physics.compiled.random_models import random_strings
-from tests.unit.physics.compiled.recorded_substep import recorded
-from tests.unit.physics.compiled.test_forces import assert_close, of_all, random_states, state_of
 
 NUM_STATES = 100
 # How far MuJoCo's own iterations for strings through rings are from where they lead, in moment arms in m.
