@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mujoco_compiled.code.host_call import host_call
     from mujoco_compiled.code.kept_code import keep_code
-    from mujoco_compiled.constraints.pairs import pairs_of_geoms
+    from mujoco_compiled.constraints.pairs import meshes_left_out, pairs_of_geoms
     from mujoco_compiled.coverage import Uncovered, left_out, uncovered, uncovered_own
     from mujoco_compiled.data import Data, forward, make_data, put_data, step
     from mujoco_compiled.fields import MODEL_FIELDS
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _WHERE = {
     "code.host_call": ("host_call",),
     "code.kept_code": ("keep_code",),
-    "constraints.pairs": ("pairs_of_geoms",),
+    "constraints.pairs": ("meshes_left_out", "pairs_of_geoms"),
     "coverage": ("Uncovered", "left_out", "uncovered", "uncovered_own"),
     "data": ("Data", "forward", "make_data", "put_data", "step"),
     "fields": ("MODEL_FIELDS",),
@@ -44,6 +44,7 @@ __all__ = [
     "keep_code",
     "left_out",
     "make_data",
+    "meshes_left_out",
     "pairs_of_geoms",
     "put_data",
     "put_model",

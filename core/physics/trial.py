@@ -4,7 +4,8 @@ Contacts make any two trajectories part soon. So the engine is set down in C MuJ
 again, and each difference is that of two control steps. Decision 21 says how the bounds were chosen.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import jax
@@ -74,11 +75,33 @@ class EngineDifference:
         )
 
 
-def record(model: mujoco.MjModel, *, seed: int = 0) -> ReferenceMotion | None:
+def record(
+    model: mujoco.MjModel, *, seed: int = 0, apart: Collection[tuple[int, int]] = ()
+) -> ReferenceMotion | None:
     """A second from the model's start and a second after one of falling, under random controls.
 
-    None if C MuJoCo's own state bursts even without controls.
+    apart: numbers of geoms that pass through each other, as in an engine that leaves them out. None if C
+    MuJoCo's own state bursts even without controls.
     """
+    with _passing(apart):
+        return _record(model, seed)
+
+
+@contextmanager
+def _passing(apart: Collection[tuple[int, int]]) -> Generator[None]:
+    """MuJoCo asks this process's one filter about each pair of geoms."""
+    if not apart:
+        yield
+        return
+    pairs = {pair for one, other in apart for pair in ((one, other), (other, one))}
+    mujoco.set_mjcb_contactfilter(lambda model, data, one, other: int((one, other) in pairs))
+    try:
+        yield
+    finally:
+        mujoco.set_mjcb_contactfilter(None)
+
+
+def _record(model: mujoco.MjModel, seed: int) -> ReferenceMotion | None:
     for share in _SHARES:
         tries = list(_tries(model, share, np.random.default_rng(seed)))
         if len(tries) == 2 * _TRIES_A_SECOND:

@@ -1,7 +1,7 @@
 """Each engine loads a model and moves it beside C MuJoCo."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, get_args
 
 import mujoco
@@ -11,6 +11,7 @@ from core.environments.mjcf.info import INFO, MjcfOptions
 from core.errors import JobFailed
 from core.physics.availability import EngineName, beyond, choose_by_rules, is_installed
 from core.user_models.record import Description
+from mujoco_compiled import meshes_left_out
 
 _LONGEST_REASON = 300
 # C MuJoCo itself takes three seconds of the model's time; a scene that is slower than that is not tried.
@@ -28,8 +29,11 @@ def tried(description: Description, model: mujoco.MjModel, whole: mujoco.MjModel
     Engines that are refused already are left out, and `warp` is loaded alone: its kernels need a GPU.
     """
     motion = _Motion(model, description.physics_steps_per_second)
+    passing = meshes_left_out(model)
+    without = _Motion(model, description.physics_steps_per_second, passing) if passing else motion
     for name in _QUICK:
-        description = _after(description, name, model, motion)
+        # What `compiled` leaves out has been said: its trial is of all else.
+        description = _after(description, name, model, without if name == "compiled" else motion)
         yield description
     loads: Mapping[EngineName, Callable[[mujoco.MjModel], None]] = {"mjx": _load_mjx, "warp": _load_warp}
     for name, load in loads.items():
@@ -69,10 +73,13 @@ def _sentence(error: Exception) -> str:
 
 
 class _Motion:
-    """C MuJoCo's motion, recorded when it is first asked for: JAX takes seconds to load."""
+    """C MuJoCo's motion, recorded when it is first asked for: JAX takes seconds to load. apart: numbers of
+    geoms that pass through each other."""
 
-    def __init__(self, model: mujoco.MjModel, steps_per_second: float) -> None:
-        self._model = model
+    def __init__(
+        self, model: mujoco.MjModel, steps_per_second: float, apart: Collection[tuple[int, int]] = ()
+    ) -> None:
+        self._model, self._apart = model, apart
         seconds = _REFERENCE_S / model.opt.timestep / steps_per_second
         self.why_not = (
             f"not tried here: C MuJoCo alone would take {seconds:.0f} s"
@@ -86,7 +93,7 @@ class _Motion:
         from core.physics.trial import record
 
         if self._recorded is None and not self.why_not:
-            self._recorded = record(self._model)
+            self._recorded = record(self._model, apart=self._apart)
             if self._recorded is None:
                 self.why_not = "not tried here: C MuJoCo itself becomes unstable, without any action"
         return self._recorded

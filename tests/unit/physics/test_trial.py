@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 import pytest
 
 from core.physics.choose import engine_builder
@@ -58,3 +59,23 @@ def test_an_engine_that_gives_numbers_that_are_none_is_wrong() -> None:
 
 def test_where_mujoco_itself_bursts_there_is_nothing_to_compare_with() -> None:
     assert record(mujoco.MjModel.from_xml_string(CAR.decode())) is None
+
+
+def test_geoms_that_are_kept_apart_pass_through_each_other() -> None:
+    model = mujoco.MjModel.from_xml_string("""
+      <mujoco><worldbody><geom type="plane" size="5 5 1"/>
+        <body pos="0 0 0.5"><freejoint/><geom size="0.1"/></body>
+        <body pos="0.05 0 0.5"><freejoint/><geom size="0.1"/></body>
+      </worldbody></mujoco>
+    """)
+    pushed, free = record(model), record(model, apart=[(2, 1)])
+    assert pushed is not None
+    assert free is not None
+    # They overlap by 0.15 m, and MuJoCo throws them apart along x; both fall on the floor.
+    assert np.abs(pushed.ended["qvel"][:25, 0]).max() > 1.0
+    assert np.abs(free.ended["qvel"][:, [0, 6]]).max() < 1e-9
+    assert free.ended["qpos"][-1, 2] == pytest.approx(0.1, abs=0.01)
+    # The filter is gone after it.
+    again = record(model)
+    assert again is not None
+    np.testing.assert_array_equal(again.ended["qpos"], pushed.ended["qpos"])

@@ -369,6 +369,17 @@ def test_a_model_without_actuators_is_told_of_servos(tmp_path: Path) -> None:
     assert found.inventory.sizes.nu == 0
 
 
+def test_what_compiled_leaves_out_is_told(tmp_path: Path) -> None:
+    shell = b'<asset><mesh name="shell" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset><worldbody>'
+    meshes = TOUCHING.replace(b"<worldbody>", shell).replace(b'friction="0"', b"")
+    meshes = meshes.replace(b'type="cylinder"', b'type="mesh" mesh="shell" name="one"')
+    meshes = meshes.replace(b'type="box"', b'type="mesh" mesh="shell" name="other"')
+    (said,) = (one for one in first_findings(meshes, tmp_path).notes if "compiled" in one)
+    assert said == (
+        "On the engine `compiled`, its geoms 'one' and 'other' pass through each other, as both are meshes."
+    )
+
+
 def test_a_refusal_of_compiled_names_the_edits_that_help_and_there_is_a_recipe(tmp_path: Path) -> None:
     file = tmp_path / "model"
     file.write_bytes(TOUCHING)
