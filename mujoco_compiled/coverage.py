@@ -45,7 +45,7 @@ _WITHOUT_EFFECT = (
 _ENABLED_WITHOUT_EFFECT = _ENABLE.mjENBL_ENERGY | _ENABLE.mjENBL_FWDINV
 
 # Each point has room of some 100 bytes for every environment, on a card for every thread that it can run.
-MOST_POINTS = 2_000
+MOST_POINTS = 20_000
 # By how much a contact may be stiffer than fits what it moves: rounding in single precision (6e-8) is 3e-4 of
 # its force then. A hundred times more, and numbers become NaN.
 _MOST_STIFFNESS = 5000.0

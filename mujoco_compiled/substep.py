@@ -16,9 +16,10 @@ from mujoco_compiled.constraints.constraints import (
     read_constraints,
 )
 from mujoco_compiled.constraints.solver import Settings, SolverProblem, acceleration
-from mujoco_compiled.fields import NOMINAL, Fields, Own
+from mujoco_compiled.fields import NOMINAL, Fields, Own, is_zero
 from mujoco_compiled.program.arithmetic import Number, Vector, add, scale
 from mujoco_compiled.program.flow import repeat
+from mujoco_compiled.program.program import Symbol
 from mujoco_compiled.readings.contact_sensors import (
     ContactSensor,
     normal_forces,
@@ -39,10 +40,10 @@ from mujoco_compiled.smooth.actuation import (
     driven,
     read_actuators,
 )
-from mujoco_compiled.smooth.dynamics import Entries, bias_forces, mass_matrix, motion
-from mujoco_compiled.smooth.factor import factorize, multiply, solve
+from mujoco_compiled.smooth.dynamics import bias_forces, mass_matrix, motion
 from mujoco_compiled.smooth.fluid import Fluid, drag_forces, read_fluid
 from mujoco_compiled.smooth.forces import passive_forces, weight_held
+from mujoco_compiled.smooth.inertia import Inertia, InLoops, WrittenOut, added
 from mujoco_compiled.smooth.integration import Implicit, add_slopes, implicit_inertia, integrated
 from mujoco_compiled.smooth.kinematics import poses
 from mujoco_compiled.smooth.lone_bodies import lone_accelerations, read_lone_bodies
@@ -56,6 +57,7 @@ from mujoco_compiled.smooth.tendons import (
     with_tendons,
 )
 from mujoco_compiled.smooth.tree import Tree, acts, read_tree
+from mujoco_compiled.smooth.tree_loops import TreeLoops
 
 
 @dataclass(frozen=True)
@@ -169,9 +171,10 @@ def readings_by_sensor(model: Model, moved: Moved) -> Mapping[int, Vector]:
     found = {one.number: [next(left)] for one in model.touch_sensors}
     found |= {one.number: list(islice(left, 3 if one.frame else 1)) for one in model.force_sensors}
     if model.contact_sensors:
-        now = _posture(model, moved.qpos, moved.qvel)
+        loops = _loops(model, moved)
+        now = _posture(model, moved.qpos, moved.qvel, loops)
         state = ConstraintState(moved.qpos, moved.qvel, now.tendons)
-        rows = constraint_rows(model.tree, model.constraints, now.at, now.moving, state)
+        rows = constraint_rows(model.tree, model.constraints, now.at, now.moving, state, loops)
         counted = numbers_touching(model.contact_sensors, model.constraints.contacts, rows)
         pairs = zip(model.contact_sensors, counted, strict=True)
         found |= {one.number: [number] for one, number in pairs}
@@ -192,17 +195,29 @@ def with_sensors(read: Model, model: mujoco.MjModel) -> Model:
 def _problem(model: Model, state: SubstepState, ctrl: Vector) -> tuple[SolverProblem, Instant]:
     """The solver's problem in this state, and the state with the forces of the actuators."""
     tree = model.tree
-    posture = _posture(model, state.qpos, state.qvel)
+    loops = _loops(model, state)
+    posture = _posture(model, state.qpos, state.qvel, loops)
     at, moving, stretches = posture.at, posture.moving, posture.tendons
-    mass = with_armature(model.tendons, stretches, mass_matrix(tree, moving))
+    entries = loops.mass_matrix() if loops else mass_matrix(tree, moving)
+    mass = with_armature(model.tendons, stretches, entries)
     held = weight_held(tree, at, moving)
     now = Instant(tree, at, moving, state.qvel, stretches, _driven(model, state, ctrl, posture, held))
-    force = _smooth_forces(model, state, now, held)
-    free = solve(tree, factorize(tree, mass), force)
-    rows = constraint_rows(
-        tree, model.constraints, at, moving, ConstraintState(state.qpos, state.qvel, stretches)
-    )
-    return SolverProblem(tree, mass, force, free, rows), now
+    force = _smooth_forces(model, state, now, held, loops)
+    placed = ConstraintState(state.qpos, state.qvel, stretches)
+    rows = constraint_rows(tree, model.constraints, at, moving, placed, loops)
+    inertia: Inertia = WrittenOut(tree, mass)
+    if loops and rows.slots:
+        loops.change_mass(entries, mass)
+        inertia = InLoops(loops, rows.slots.matrix, mass)
+    inertia.begin()
+    return SolverProblem(inertia, force, inertia.solve({}, force), rows), now
+
+
+def _loops(model: Model, state: SubstepState) -> TreeLoops | None:
+    """The tree in memory, of a body with contacts in slots, where a program is written."""
+    if not model.constraints.are_in_slots or not isinstance(state.qvel[0], Symbol):
+        return None
+    return TreeLoops(state.qvel[0].program, model.tree)
 
 
 def _readings(model: Model, problem: SolverProblem, now: Instant, found: Vector) -> Vector:
@@ -222,9 +237,10 @@ def _implicit(fields: Fields, tree: Tree) -> Implicit:
     return "damping" if damped and not fields.disables(mujoco.mjtDisableBit.mjDSBL_EULERDAMP) else "nothing"
 
 
-def _posture(model: Model, qpos: Vector, qvel: Vector) -> Posture:
+def _posture(model: Model, qpos: Vector, qvel: Vector, loops: TreeLoops | None) -> Posture:
     at = poses(model.tree, qpos)
-    return with_tendons(Posture(model.tree, at, motion(model.tree, at, qvel), qpos), model.tendons)
+    moving = loops.motion(at, qvel) if loops else motion(model.tree, at, qvel)
+    return with_tendons(Posture(model.tree, at, moving, qpos), model.tendons)
 
 
 def _driven(model: Model, state: SubstepState, ctrl: Vector, posture: Posture, held: Vector) -> Driven:
@@ -234,14 +250,17 @@ def _driven(model: Model, state: SubstepState, ctrl: Vector, posture: Posture, h
     return driven(model.tree, model.actuators, own, model.timestep)
 
 
-def _smooth_forces(model: Model, state: SubstepState, now: Instant, held: Vector) -> Vector:
+def _smooth_forces(
+    model: Model, state: SubstepState, now: Instant, held: Vector, loops: TreeLoops | None
+) -> Vector:
     """All forces but the constraints', [nv]. held: see `weight_held`."""
     tree, qvel = model.tree, state.qvel
     passive = add(passive_forces(tree, state.qpos, qvel), tendon_forces(model.tendons, now.tendons, qvel))
     for i, dof in enumerate(tree.dofs):
         if held and not dof.holds_weight:
             passive[i] = passive[i] + held[i]
-    bias = bias_forces(tree, now.moving, qvel, drag_forces(tree, model.fluid, now.at, now.moving))
+    dragged = drag_forces(tree, model.fluid, now.at, now.moving)
+    bias = loops.bias_forces(qvel, dragged) if loops else bias_forces(tree, now.moving, qvel, dragged)
     return [x + y - z for x, y, z in zip(passive, now.done.on_dofs, bias, strict=True)]
 
 
@@ -253,16 +272,18 @@ def _integrated(model: Model, problem: SolverProblem, found: Vector, now: Instan
     """
     if model.implicit == "nothing":
         return found
-    tree = model.tree
-    inertia: Entries = implicit_inertia(tree, problem.mass, now.qvel, model.timestep)
-    force = multiply(tree, problem.mass, found)
-    if model.implicit == "damping":
-        return solve(tree, factorize(tree, inertia), force)
-    slopes = [*tendon_slopes(model.tendons, now.tendons, now.qvel), *now.done.slopes]
-    add_slopes(inertia, slopes, model.timestep)
-    changed = solve(tree, factorize(tree, inertia), force)
-    for lone in read_lone_bodies(tree):
-        own = lone_accelerations(lone, now.at, now.moving, inertia, force, model.timestep)
+    tree, inertia = model.tree, problem.inertia
+    more = implicit_inertia(tree, now.qvel, model.timestep)
+    if model.implicit == "velocities":
+        slopes = [*tendon_slopes(model.tendons, now.tendons, now.qvel), *now.done.slopes]
+        add_slopes(more, slopes, model.timestep)
+    terms = {place: [term] for place, term in more.items() if not is_zero(term)}
+    force = inertia.multiply(found)
+    inertia.begin()
+    changed = inertia.solve(terms, force)
+    for lone in read_lone_bodies(tree) if model.implicit == "velocities" else ():
+        whole = added(inertia.entries, terms)
+        own = lone_accelerations(lone, now.at, now.moving, whole, force, model.timestep)
         changed[lone.dof : lone.dof + 6] = own
     return changed
 

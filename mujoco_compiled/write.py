@@ -13,6 +13,8 @@ from mujoco_compiled.lanes.fold import folded
 from mujoco_compiled.lanes.lane_constants import NotAlike, alike_inputs, with_lane_constants
 from mujoco_compiled.lanes.limbs import Limbs, ways_to_share
 from mujoco_compiled.program.arithmetic import Vector, absolute, select
+from mujoco_compiled.program.flow import needed
+from mujoco_compiled.program.memory import overflow
 from mujoco_compiled.program.program import Program, Symbol
 from mujoco_compiled.readings.derived import derived
 from mujoco_compiled.readings.scene import NO_READINGS, Scene
@@ -31,6 +33,8 @@ from mujoco_compiled.substep import (
 _LEAST_TOLERANCE = 1e-6
 _LOG = logging.getLogger(__name__)
 _OF_FORCES = "qfrc_actuator"
+# Where geoms can touch, of a body whose limbs are shared out: there, each is written out.
+_MOST_POINTS_IN_LANES = 64
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,9 @@ class Plan:
 def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
     """The same for as many lanes as the body has limbs that are alike; for one if it has none."""
     model = read_model(plan.model)
-    for limbs in () if model.constraints.is_in_slots else ways_to_share(plan.model):
+    # More than these would be too long to write out.
+    ways = ways_to_share(plan.model) if model.constraints.num_points <= _MOST_POINTS_IN_LANES else ()
+    for limbs in ways:
         try:
             alike = alike_inputs(model, limbs, plan.own)
             return folded(control_step_program(plan, num_substeps, limbs), alike, limbs.num_lanes)
@@ -69,11 +75,13 @@ def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = No
     time = [one + num_substeps * model.timestep for one in symbols["time"]]
     checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *ctrl]
     is_sound = _is_sound([*checked, *(x for values in after.values() for x in values)])
+    if program.memory.lists:
+        is_sound = is_sound & (overflow(program) < 1.0)
     seen = _derived(plan, symbols, model, moved, time)
     for name, values in (*after.items(), *seen):
         if values:
             program.output(name, [select(is_sound, x, nan) for x in values])
-    return program
+    return needed(program)
 
 
 def derived_program(plan: Plan) -> Program:
@@ -86,7 +94,7 @@ def derived_program(plan: Plan) -> Program:
     for name, values in _derived(plan, symbols, model, standing, symbols["time"]):
         if values:
             program.output(name, values)
-    return program
+    return needed(program)
 
 
 def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, Vector], Model]:
@@ -99,7 +107,10 @@ def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, V
     read = replace(read, solver=replace(read.solver, tolerance=tolerance))
     if "sensordata" in plan.derived:
         read = with_sensors(read, plan.model)
-    return program, symbols, with_lane_constants(program, read, limbs) if limbs else read
+    if limbs is None:
+        return program, symbols, read
+    written_out = replace(read, constraints=replace(read.constraints, are_written_out=True))
+    return program, symbols, with_lane_constants(program, written_out, limbs)
 
 
 def _state(symbols: Mapping[str, Vector]) -> SubstepState:

@@ -18,7 +18,6 @@ WARP = 32
 _ALONE = Target(
     1,
     allowed="afn arcp",
-    vote="call i1 @llvm.nvvm.vote.any.sync(i32 %members, i1 {})",
     own="ptr addrspace(5)",
     shared="ptr addrspace(1)",
 )
@@ -151,7 +150,6 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
             "declare void @llvm.nvvm.barrier.cta.sync.aligned.all(i32)",
             "declare i1 @llvm.nvvm.barrier.cta.red.or.aligned.all(i32, i1)",
             f"declare float @{_SHUFFLE}(i32, float, i32, i32)",
-            "declare i1 @llvm.nvvm.vote.any.sync(i32, i1)",
             *tables(program.memory, _ALONE),
             *code.functions,
             f"define ptx_kernel void @{name}({arrays}) {attributes} {{",
@@ -200,11 +198,6 @@ def _environment(lanes: int, threads: int) -> list[str]:
         "  %last = sub i32 %environments, 1",
         "  %known = select i1 %exists, i32 %number, i32 %last",
         "  %environment = zext i32 %known to i64",
-        # The threads of the warp: a small block has fewer.
-        f"  %is_full = icmp uge i32 %num_threads, {WARP}",
-        "  %present = shl i32 1, %num_threads",
-        "  %low_ones = sub i32 %present, 1",
-        "  %members = select i1 %is_full, i32 -1, i32 %low_ones",
     ]
 
 

@@ -17,7 +17,7 @@ from mujoco_compiled.program.program import Program
 
 # Operations. A short program's code is a little faster without slots: on a CPU the ant's took 0.27 µs without
 # and 0.36 µs with them. From about this length on it is as fast with them, and compiled sooner.
-_LONG = 30_000
+_LONG = 40_000
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ def _grouped(steps: Sequence[Step]) -> list[list[Step]]:
     late, found = dict[int, list[Step]](), list[list[Step]]()
     for step in steps:
         group = [one for variable in uses(step) for one in late.pop(variable, ())] + [step]
-        if (isinstance(step, Read) and step.space in ("counts", "integers")) or (
+        if (isinstance(step, Read) and step.is_integer) or (
             isinstance(step, Assign)
             and step.operation in _FUSED
             and num_uses[step.target] == 1

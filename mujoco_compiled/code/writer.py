@@ -13,6 +13,7 @@ import numpy as np
 from mujoco_compiled.code.steps import Step, Write, num_operations
 from mujoco_compiled.program.program import (
     Assign,
+    Bound,
     Branch,
     Each,
     Loop,
@@ -50,15 +51,13 @@ class Target:
     """How a kind of processor takes numbers.
 
     width: environments in a vector; 1: no vector. allowed: what a division and a square root may do besides
-    rounding correctly, in LLVM's words. barrier: None: a thread does not wait for others. vote: of a truth
-    value, whether it is true in one of the threads that read and write side by side. own, shared: kinds of
-    pointers to what an environment has for itself, and to the model's tables.
+    rounding correctly, in LLVM's words. barrier: None: a thread does not wait for others. own, shared: kinds
+    of pointers to what environments that are computed together have, and to the model's tables.
     """
 
     width: int
     allowed: str
     barrier: Barrier | None = None
-    vote: str = ""
     own: str = "ptr"
     shared: str = "ptr"
 
@@ -366,24 +365,36 @@ class Writer:
             case "constants":
                 pointer = self._pointer("float", shared, "@table_constants", place)
                 load = f"load float, {shared} {pointer}, align 4, !invariant.load !0"
-                if target.width == 1:
-                    self.line(f"{name} = {load}")
-                else:
-                    first = self.value(
-                        f"insertelement {target.number} poison, float {self.value(load)}, i64 0"
-                    )
-                    self.line(
-                        f"{name} = shufflevector {target.number} {first}, {target.number} poison, "
-                        f"<{target.width} x i32> zeroinitializer"
-                    )
+                self._spread(name, self.value(load))
             case "counts":
                 pointer = self._pointer("i32", target.own, "%counts", place)
-                number = self.value(f"load i32, {target.own} {pointer}, align 4")
-                self.line(f"{name} = zext i32 {number} to i64")
+                number = self._bounded(self.value(f"load i32, {target.own} {pointer}, align 4"), read.bound)
+                if not read.is_number:
+                    self.line(f"{name} = zext i32 {number} to i64")
+                else:
+                    self._spread(name, self.value(f"uitofp i32 {number} to float"))
             case "integers":
                 pointer = self._pointer("i32", shared, "@table_integers", place)
                 number = self.value(f"load i32, {shared} {pointer}, align 4, !invariant.load !0")
                 self.line(f"{name} = sext i32 {number} to i64")
+
+    def _spread(self, name: str, number: str) -> None:
+        """One number, as that of all environments."""
+        kind, width = self.target.number, self.target.width
+        if width == 1:
+            self.line(f"{name} = bitcast float {number} to float")
+            return
+        first = self.value(f"insertelement {kind} poison, float {number}, i64 0")
+        zeros = f"<{width} x i32> zeroinitializer"
+        self.line(f"{name} = shufflevector {kind} {first}, {kind} poison, {zeros}")
+
+    def _bounded(self, number: str, bound: Bound | None) -> str:
+        if bound is None:
+            return number
+        kind, most = bound
+        is_beyond = self.value(f"icmp ugt i32 {number}, {most}")
+        chosen = (f"{most}", number) if kind == "most" else (number, "0")
+        return self.value(f"select i1 {is_beyond}, i32 {chosen[0]}, i32 {chosen[1]}")
 
     def _store(self, store: Store) -> None:
         target, place = self.target, self._place(store.place)
@@ -440,8 +451,7 @@ class Writer:
     def _together(self, together: Together) -> None:
         inside, after = self.name()[1:], self.name()[1:]
         known, condition = dict(self._angles), self.operand(together.condition)
-        needs = self.value(self.target.vote.format(condition)) if self.target.vote else self.any(condition)
-        self.line(f"br i1 {needs}, label %{inside}, label %{after}")
+        self.line(f"br i1 {self.any(condition)}, label %{inside}, label %{after}")
         self.lines.append(f"{inside}:")
         self.block = inside
         self._num_alone += 1

@@ -29,24 +29,26 @@ from mujoco_compiled.constraints.limits import (
     read_ball_limits,
     read_limits,
 )
-from mujoco_compiled.constraints.rows import ConstraintRows, RowGroup
+from mujoco_compiled.constraints.rows import ConstraintRows, RowGroup, lower_triangle
 from mujoco_compiled.constraints.slot_rows import SlotRows
 from mujoco_compiled.constraints.ties import Tie, read_ties, tie_rows
 from mujoco_compiled.fields import NOMINAL, Fields, Own
 from mujoco_compiled.program.arithmetic import Vector
-from mujoco_compiled.program.program import Symbol
 from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
+from mujoco_compiled.smooth.matrix_loops import MatrixLoops
 from mujoco_compiled.smooth.paths import Path, Stretch, stretch
 from mujoco_compiled.smooth.tree import Tree
+from mujoco_compiled.smooth.tree_loops import TreeLoops
 
-# With at most this many contacts, each is written out: loops over tables do not pay.
-_FEW_CONTACTS = 8
+# With at most this many contacts, each is written out: loops over tables do not pay, nor does skipping those
+# that are apart, as some environment of a vector nearly always has one.
+FEW_CONTACTS = 8
 
 
 @dataclass(frozen=True)
 class Constraints:
-    """All that a model can ever have."""
+    """All that a model can ever have. are_written_out: whether contacts are, however many there are."""
 
     ties: tuple[Tie, ...]
     couplings: tuple[Coupling, ...]
@@ -54,11 +56,12 @@ class Constraints:
     limits: tuple[Limit, ...]
     ball_limits: tuple[BallLimit, ...]
     contacts: tuple[ContactPair, ...]
+    are_written_out: bool = False
 
     @property
-    def is_in_slots(self) -> bool:
-        """Whether a program has its contacts in slots."""
-        return len(self.contacts) > _FEW_CONTACTS
+    def are_in_slots(self) -> bool:
+        """Whether a program has the contacts in slots."""
+        return len(self.contacts) > FEW_CONTACTS and not self.are_written_out
 
     @property
     def num_points(self) -> int:
@@ -93,14 +96,20 @@ def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
 
 
 def constraint_rows(
-    tree: Tree, constraints: Constraints, at: Poses, moving: Motion, state: ConstraintState
+    tree: Tree,
+    constraints: Constraints,
+    at: Poses,
+    moving: Motion,
+    state: ConstraintState,
+    loops: TreeLoops | None = None,
 ) -> ConstraintRows:
-    """All rows in this state, contacts last."""
-    slots = _slots(tree, constraints, at, moving)
-    written_out = constraints.contacts if slots is None else ()
-    by_body = is_better_by_body(tree, written_out)
+    """All rows in this state, contacts last. loops: of the tree, for contacts in slots."""
+    written_out = constraints.contacts if loops is None else ()
+    by_body, skips = is_better_by_body(tree, written_out), len(written_out) > FEW_CONTACTS
     touching = [
-        point for contact in written_out for point in contact_rows(tree, contact, at, moving, by_body=by_body)
+        point
+        for contact in written_out
+        for point in contact_rows(tree, contact, at, moving, by_body=by_body, skips=skips)
     ]
 
     def stretched(path: Path) -> Stretch:
@@ -114,14 +123,20 @@ def constraint_rows(
         *(ball_limit_row(limit, state.qpos, state.qvel) for limit in constraints.ball_limits),
         *(group for _, group in touching),
     ]
+    slots = _slots(loops, constraints, groups, at, moving) if loops else None
     return ConstraintRows(groups, tree, moving.axes, [distance for distance, _ in touching], slots)
 
 
-def _slots(tree: Tree, constraints: Constraints, at: Poses, moving: Motion) -> SlotRows | None:
-    """The contacts in slots, where there are many, and a program is written."""
-    symbol = next((x for axis in moving.axes for x in axis if isinstance(x, Symbol)), None)
-    if symbol is None or not constraints.is_in_slots:
-        return None
-    tables = ContactTables(symbol.program, tree, constraints.contacts)
+def _slots(
+    loops: TreeLoops,
+    constraints: Constraints,
+    groups: Sequence[RowGroup | BodyGroup],
+    at: Poses,
+    moving: Motion,
+) -> SlotRows:
+    """The contacts in slots. groups: those that are written out."""
+    tables = ContactTables(loops, constraints.contacts)
     tables.fill(at, moving)
-    return SlotRows(symbol.program, tree, tables, moving.axes)
+    bound = {place for group in groups if isinstance(group, RowGroup) for place in lower_triangle(group)}
+    is_dense = any(kind.is_double for kind in tables.kinds) or not bound <= set(loops.tree.entries)
+    return SlotRows(loops, MatrixLoops(loops, is_dense=is_dense), tables)

@@ -24,7 +24,11 @@ from mujoco_compiled.program.memory import (
     integers,
     rows,
 )
-from mujoco_compiled.program.program import Place, Program
+from mujoco_compiled.program.program import Place
+from mujoco_compiled.smooth.tree_loops import TreeLoops
+
+# Of a kind, for all environments that are computed together. An overflow makes them NaN, which ends episodes.
+MOST_SLOTS = 512
 
 
 class SlotKind:
@@ -34,16 +38,18 @@ class SlotKind:
     """
 
     def __init__(
-        self, program: Program, name: str, contacts: Sequence[ContactPair], places: Sequence[int]
+        self, loops: TreeLoops, name: str, contacts: Sequence[ContactPair], places: Sequence[int]
     ) -> None:
+        program = loops.program
         self.program, self.name, self.contacts, self.places = program, name, contacts, places
         self.first = contacts[0]
         self.signs = [sign for body, sign in zip(self.first.bodies, (-1.0, 1.0), strict=True) if body]
         self.num_directions = self.first.num_directions
-        most = sum(contact.num_points for contact in contacts)
+        most = min(MOST_SLOTS, sum(contact.num_points for contact in contacts))
         self.slots: Rows = rows(program, f"{name} slots", most)
-        self.numbers: Array = array(program, f"{name} numbers", most, sum(self._sizes.values()))
-        moving = [[body for body in contact.bodies if body] for contact in contacts]
+        # One more for what is lost.
+        self.numbers: Array = array(program, f"{name} numbers", most + 1, sum(self._sizes.values()))
+        moving = [[loops.rows[body] for body in contact.bodies if body] for contact in contacts]
         self.bodies = [
             self.integers(f"bodies {side}", [own[side] for own in moving]) for side in range(len(self.signs))
         ]

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import replace
-from functools import reduce
-from operator import and_
 from typing import Any
 
 import mujoco
@@ -12,25 +10,22 @@ from mujoco_compiled.collisions.hulls import Hull
 from mujoco_compiled.collisions.shapes import Placed, Touch
 from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.constraints.contact_slots import Slot, SlotKind
-from mujoco_compiled.constraints.contacts import ContactPair, Side, push
+from mujoco_compiled.constraints.contacts import ContactPair, Side, are_close, push
 from mujoco_compiled.constraints.pairs import ContactParameters
 from mujoco_compiled.program.arithmetic import (
     Matrix,
     Number,
     Vector,
-    absolute,
     add,
-    dot,
     product,
     rotate,
-    squared,
     subtract,
 )
-from mujoco_compiled.program.memory import array, column, for_each, integers, where_any
+from mujoco_compiled.program.memory import array, column, for_each, integers, rows, where_any
 from mujoco_compiled.program.program import Place, Program
 from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
-from mujoco_compiled.smooth.tree import Tree
+from mujoco_compiled.smooth.tree_loops import TreeLoops
 
 _PLANE, _BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
 _UNTURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -39,38 +34,50 @@ _UNTURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 class ContactTables:
     """The contacts of a model as tables of a program. kinds: of slots."""
 
-    def __init__(self, program: Program, tree: Tree, contacts: Sequence[ContactPair]) -> None:
-        self._program, self._tree = program, tree
+    def __init__(self, loops: TreeLoops, contacts: Sequence[ContactPair]) -> None:
+        program = loops.program
+        self._program, self._loops = program, loops
         self._geoms = _GeomTable(program, contacts)
         places = {id(contact): place for place, contact in enumerate(contacts)}
         groups = [_joined(_alike(own, _looks_of_loops)) for own in _alike(contacts, _looks_of_slots)]
         self.kinds = [
-            SlotKind(program, f"contacts {number}", own, [places[id(contact)] for contact in own])
+            SlotKind(loops, f"contacts {number}", own, [places[id(contact)] for contact in own])
             for number, own in enumerate(groups)
         ]
-        self._loops = [
+        self._searches = [
             _Loop(kind, number, own, self._geoms)
             for kind in self.kinds
             for number, own in enumerate(_alike(kind.contacts, _looks_of_loops))
         ]
-        self.moved = sorted({body for contact in contacts for body in contact.bodies if body})
-        self._velocities = array(program, "velocities", len(tree.bodies), 6)
-        self._centres = array(program, "centres", len(tree.bodies), 3)
+        moved = {body for contact in contacts for body in contact.bodies if body}
+        # By row, a body that is there.
+        self._moved = {loops.rows[body]: body for body in sorted(moved)}
+        self._centres = array(program, "centres", len(loops.tree.dofs) + 1, 3)
 
     def fill(self, at: Poses, moving: Motion) -> None:
         """Puts the points that touch in this state to slots."""
-        for body in self.moved:
-            self._velocities.store(body, moving.velocities[body])
-            self._centres.store(body, moving.centres[self._tree.bodies[body].root])
+        for row, body in self._moved.items():
+            self._centres.store(row, moving.centres[self._loops.tree.bodies[body].root])
         self._geoms.place(at)
         for kind in self.kinds:
             kind.slots.clear()
-        for loop in self._loops:
-            for_each(self._program, len(loop.contacts), lambda row, _, loop=loop: self._look(loop, row))
+        for loop in self._searches:
+            self._search(loop)
 
-    def _look(self, loop: "_Loop", row: Place) -> Vector:
-        where_any(loop.are_close(row), lambda: self._touch(loop, row))
-        return []
+    def _search(self, loop: "_Loop") -> None:
+        """First notes which pairs are close: the threads of a warp then have their own ones side by side."""
+
+        def look(row: Place, _: Vector) -> Vector:
+            where_any(loop.are_close(row), lambda: loop.close.append(row))
+            return []
+
+        def touch(number: Place, _: Vector) -> Vector:
+            self._touch(loop, loop.close.at(number))
+            return []
+
+        loop.close.clear()
+        for_each(self._program, len(loop.contacts), look)
+        for_each(self._program, loop.close.length(), touch)
 
     def _touch(self, loop: "_Loop", row: Place) -> None:
         collide, _ = COLLIDERS[loop.first.kinds]
@@ -91,7 +98,7 @@ class ContactTables:
             Side(body, sign, subtract(touch.position, self._centres.row(body)))
             for body, sign in zip(bodies, kind.signs, strict=True)
         ]
-        found = push(contact, touch, [(side, self._velocities.row(side.body)) for side in sides])
+        found = push(contact, touch, [(side, self._loops.velocities.row(side.body)) for side in sides])
         frame = [axis for axis, _ in found.axes]
         slot.store("normal", frame[0])
         if kind.num_directions > 1:
@@ -155,6 +162,7 @@ class _Loop:
         self.kind, self.contacts, self.first = kind, contacts, contacts[0]
         self.begin = next(row for row, one in enumerate(kind.contacts) if one is self.first)
         self._table = geoms
+        self.close = rows(kind.program, f"{kind.name} {number} close", len(contacts))
         self._rows = [
             integers(kind.program, f"{kind.name} {number} geoms {k}", [geoms.rows[one.number] for one in own])
             for k, own in enumerate(zip(*((one.one, one.other) for one in contacts), strict=True))
@@ -165,8 +173,8 @@ class _Loop:
         }
         hulls = self.first.one.hull, self.first.other.hull
         self.geoms = [
-            lambda row, rows=rows, hull=hull: geoms.placed(rows.at(row), hull)
-            for rows, hull in zip(self._rows, hulls, strict=True)
+            lambda row, own=own, hull=hull: geoms.placed(own.at(row), hull)
+            for own, hull in zip(self._rows, hulls, strict=True)
         ]
 
     def contact(self, row: Place) -> ContactPair:
@@ -181,18 +189,15 @@ class _Loop:
         return replace(self.first, parameters=parameters, inverse_weight=at["inverse_weight"])
 
     def are_close(self, row: Place) -> Number:
-        """Whether the sphere about the first geom is near enough to the second, or to what is about it."""
-        one, other = (rows.at(row) for rows in self._rows)
-        way = subtract(self._table.position(one), self._table.position(other))
-        near, (kind, kind_other) = self._columns["near"].at(row), self.first.kinds
-        if kind == _PLANE:
-            axis = [line[2] for line in self._table.rotation(one)]
-            return -dot(axis, way) < near
-        if kind_other == _BOX:
-            box = self._table.placed(other)
-            sides = zip(box.inward(way), box.size, strict=True)
-            return reduce(and_, (absolute(x) < size + near for x, size in sides))
-        return dot(way, way) < squared(near)
+        """Whether the geoms are near enough for them to touch; see `contacts.are_close`."""
+        at = {name: own.at(row) for name, own in self._columns.items()}
+        contact = replace(
+            self.first,
+            one=replace(self.first.one, bound=at["bound"]),
+            other=replace(self.first.other, bound=at["bound_other"]),
+            parameters=replace(self.first.parameters, reach=at["reach"]),
+        )
+        return are_close(contact, *(geom(row) for geom in self.geoms))
 
 
 _COLUMNS: dict[str, Callable[[ContactPair], Number]] = {
@@ -202,15 +207,9 @@ _COLUMNS: dict[str, Callable[[ContactPair], Number]] = {
     "margin": lambda one: one.parameters.margin,
     "reach": lambda one: one.parameters.reach,
     "inverse_weight": lambda one: one.inverse_weight,
-    # Where the centres, or a centre and a plane or a box, are nearer, they may touch.
-    "near": lambda one: _radii(one) + max(0.0, one.parameters.reach),
+    "bound": lambda one: one.one.bound,
+    "bound_other": lambda one: one.other.bound,
 }
-
-
-def _radii(contact: ContactPair) -> Number:
-    """The radii of the spheres about the geoms, of which a plane and a second box have none."""
-    is_box = contact.other.kind == _BOX and contact.one.kind != _PLANE
-    return contact.one.bound + (0.0 if is_box else contact.other.bound)
 
 
 def _looks_of_slots(contact: ContactPair) -> Hashable:

@@ -5,18 +5,21 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Contacts".
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import compress
+from operator import and_
 
 import mujoco
 
 from mujoco_compiled.collisions.hulls import read_hull
-from mujoco_compiled.collisions.shapes import Geom, Touch, placed, read_geoms
-from mujoco_compiled.collisions.table import COLLIDERS
+from mujoco_compiled.collisions.shapes import Geom, Placed, Touch, placed, read_geoms
+from mujoco_compiled.collisions.table import CHEAP, COLLIDERS
 from mujoco_compiled.constraints.body_rows import BodyGroup
 from mujoco_compiled.constraints.cone import Cone
 from mujoco_compiled.constraints.laws import Law, OneSided, Pyramid
 from mujoco_compiled.constraints.pairs import ContactParameters, Pair, read_pairs
 from mujoco_compiled.constraints.rows import Direction, RowGroup
+from mujoco_compiled.constraints.skipping import groups_where, touches_where
 from mujoco_compiled.constraints.solref import impedance_at, reference_at, stiffness_at
 from mujoco_compiled.fields import Fields
 from mujoco_compiled.program.arithmetic import (
@@ -27,6 +30,7 @@ from mujoco_compiled.program.arithmetic import (
     cross,
     dot,
     maximum,
+    minimum,
     scale,
     select,
     sqrt,
@@ -139,12 +143,43 @@ def is_better_by_body(tree: Tree, contacts: Sequence[ContactPair]) -> bool:
 
 
 def contact_rows(
-    tree: Tree, contact: ContactPair, at: Poses, moving: Motion, *, by_body: bool
+    tree: Tree, contact: ContactPair, at: Poses, moving: Motion, *, by_body: bool, skips: bool
 ) -> list[tuple[Number, RowGroup | BodyGroup]]:
-    """For each point of the contact: how far apart the geoms are there, in m, and a group."""
+    """For each point of the contact: how far apart the geoms are there, in m, and a group.
+
+    skips: whether to compute nothing that geoms which do not touch have no need of. Their distance then is
+    more than it can be where they touch.
+    """
+    one, other = placed(contact.one, at), placed(contact.other, at)
     collide, _ = COLLIDERS[contact.kinds]
-    touches = collide(placed(contact.one, at), placed(contact.other, at))
-    return [(touch.distance, _group(tree, contact, touch, moving, by_body=by_body)) for touch in touches]
+
+    def touching() -> list[Touch]:
+        return collide(one, other)
+
+    skips_points = skips and contact.kinds not in CHEAP
+    touches = touches_where(are_close(contact, one, other), touching) if skips_points else touching()
+
+    def groups() -> list[RowGroup | BodyGroup]:
+        return [_group(tree, contact, touch, moving, by_body=by_body) for touch in touches]
+
+    distances = [touch.distance for touch in touches]
+    if skips:
+        may_push = reduce(minimum, distances) < contact.parameters.margin
+        return list(zip(distances, groups_where(may_push, groups), strict=True))
+    return list(zip(distances, groups(), strict=True))
+
+
+def are_close(contact: ContactPair, one: Placed, other: Placed) -> Number:
+    """Whether the sphere about the first geom is near enough to the second, or to what is about it."""
+    way = subtract(one.position, other.position)
+    near = contact.one.bound + maximum(0.0, contact.parameters.reach)
+    kind, kind_other = contact.kinds
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        return -dot(one.axis, way) < near + contact.other.bound
+    if kind_other == mujoco.mjtGeom.mjGEOM_BOX:
+        sides = zip(other.inward(way), other.size, strict=True)
+        return reduce(and_, (absolute(x) < size + near for x, size in sides))
+    return dot(way, way) < squared(near + contact.other.bound)
 
 
 def push(contact: ContactPair, touch: Touch, sides: Sequence[tuple[Side, Vector]]) -> Push:

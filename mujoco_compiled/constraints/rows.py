@@ -15,7 +15,6 @@ from mujoco_compiled.constraints.body_rows import BodyGroup
 from mujoco_compiled.constraints.laws import Law, Slope
 from mujoco_compiled.program.arithmetic import Number, Vector, dot, scale, total
 from mujoco_compiled.program.flow import nothing, where_needed
-from mujoco_compiled.smooth.dynamics import Entries
 from mujoco_compiled.smooth.tree import Tree
 
 if TYPE_CHECKING:
@@ -103,7 +102,7 @@ def curvature(rows: ConstraintRows, residual: Vector) -> body_rows.Terms:
             bends.setdefault(group.body, []).append(_computed(bundle, _bend, residual))
             continue
         entries = _computed(bundle, _entries, residual)
-        for place, entry in zip(_lower_triangle(group), entries, strict=True):
+        for place, entry in zip(lower_triangle(group), entries, strict=True):
             found.setdefault(place, []).append(entry)
     for place, terms in body_rows.curvature(rows.tree, rows.axes, bends).items():
         found.setdefault(place, []).extend(terms)
@@ -155,12 +154,6 @@ def by_group(rows: ConstraintRows, values: Sequence[Number]) -> Iterator[tuple[R
         end = place + group.size
         yield group, list(values[place:end])
         place = end
-
-
-def added(mass: Entries, terms: body_rows.Terms) -> Entries:
-    """M plus terms of its own entries, and of others where rows bind branches of the tree together."""
-    places: Iterable[tuple[int, int]] = dict.fromkeys([*mass, *terms])
-    return {place: total([mass.get(place, 0.0), *terms.get(place, [])]) for place in places}
 
 
 @dataclass(frozen=True)
@@ -244,10 +237,11 @@ def _entries(group: RowGroup, residual: Vector) -> Vector:
     weights = group.law.weights(residual)
     columns = {i: [direction[i] for direction in group.directions] for i in group.directions[0]}
     along = {i: [dot(row, column) for row in weights] for i, column in columns.items()}
-    return [dot(columns[j], along[i]) for i, j in _lower_triangle(group)]
+    return [dot(columns[j], along[i]) for i, j in lower_triangle(group)]
 
 
-def _lower_triangle(group: RowGroup) -> list[tuple[int, int]]:
+def lower_triangle(group: RowGroup) -> list[tuple[int, int]]:
+    """The entries of a matrix over degrees of freedom that the group adds to."""
     dofs = list(group.directions[0])
     return [(i, j) for i in dofs for j in dofs if j <= i]
 

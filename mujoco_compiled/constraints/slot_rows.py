@@ -23,56 +23,43 @@ from mujoco_compiled.program.arithmetic import (
     total,
 )
 from mujoco_compiled.program.memory import Column, array
-from mujoco_compiled.program.program import Program
-from mujoco_compiled.smooth.tree import Tree
+from mujoco_compiled.smooth.matrix_loops import MatrixLoops
+from mujoco_compiled.smooth.tree_loops import TreeLoops
 
 _BEND = 21
 
 
 class SlotRows:
-    """The rows of the slots that `tables` filled. axes: by degree of freedom, [6]; see `Motion`."""
+    """The rows of the slots that `tables` filled. matrix: takes their curvature."""
 
-    def __init__(self, program: Program, tree: Tree, tables: ContactTables, axes: Sequence[Vector]) -> None:
-        self._program, self._tree, self._kinds, self._axes = program, tree, tables.kinds, axes
-        self._bodies = tables.moved
-        single = [one for kind in self._kinds if not kind.is_double for one in kind.contacts]
-        self._alone = sorted({body for one in single for body in one.bodies if body})
-        num_bodies = len(tree.bodies)
-        self._motions = array(program, "motions", num_bodies, 6)
-        self._wrenches = array(program, "wrenches", num_bodies, 6)
-        self._bends = array(program, "bends", num_bodies, _BEND)
-        self._ties = Ties(program, tree, [kind for kind in self._kinds if kind.is_double], axes)
+    def __init__(self, loops: TreeLoops, matrix: MatrixLoops, tables: ContactTables) -> None:
+        self._loops, self.matrix, self._kinds = loops, matrix, tables.kinds
+        program, size = loops.program, len(loops.tree.dofs)
+        self._wrenches = array(program, "wrenches", size + 1, 6)
+        self._bends = array(program, "bends", size + 1, 21)
+        self._ties = Ties(loops, matrix, [kind for kind in self._kinds if kind.is_double])
 
     def cost(self, acceleration: Vector) -> Number:
         """Of an acceleration [nv]."""
-        self._move(acceleration)
+        self._loops.move(acceleration)
         return self._summed(lambda slot: [slot.law.cost(self._residual(slot))], 1)[0]
 
     def begin(self, acceleration: Vector) -> None:
         """Notes the residual of an acceleration [nv]."""
-        self._move(acceleration)
+        self._loops.move(acceleration)
         self._do(lambda slot: slot.store("residual", self._residual(slot)))
 
-    def newton(self, num_dofs: int) -> tuple[Vector, body_rows.Terms]:
-        """The forces on degrees of freedom [nv] at the residual, and terms of their curvature."""
-        for body in self._bodies:
-            self._wrenches.store(body, [0.0] * 6)
-        for body in self._alone:
-            self._bends.store(body, [0.0] * _BEND)
+    def newton(self) -> Vector:
+        """The forces on degrees of freedom [nv] at the residual; adds their curvature to the matrix."""
+        self._loops.clear(self._wrenches)
+        self._loops.clear(self._bends)
         self._do(self._press)
-        wrenches = {body: [self._wrenches.row(body)] for body in self._bodies}
-        bends = {body: [self._bends.row(body)] for body in self._alone}
-        forces: Vector = [0.0] * num_dofs
-        for i, force in body_rows.on_dofs(self._tree, self._axes, wrenches).items():
-            forces[i] = force
-        found = body_rows.curvature(self._tree, self._axes, bends)
-        for place, entry in self._ties.taken().items():
-            found.setdefault(place, []).append(entry)
-        return forces, found
+        self.matrix.add_bends(self._bends)
+        return self._loops.on_dofs(self._wrenches)
 
     def set_rates(self, direction: Vector) -> None:
         """Notes the rates at which the residual changes along a direction [nv]."""
-        self._move(direction)
+        self._loops.move(direction)
         self._do(lambda slot: slot.store("rates", self._along(slot)))
 
     def slope(self, step: Number) -> tuple[Number, Number]:
@@ -95,7 +82,7 @@ class SlotRows:
 
     def normal_forces(self, acceleration: Vector, contacts: Sequence[Sequence[int]]) -> Vector:
         """By list of contacts: the sum of their normal forces in N under an acceleration [nv]."""
-        self._move(acceleration)
+        self._loops.move(acceleration)
         return self._by_contact(contacts, lambda slot: maximum(slot.law.forces(self._residual(slot))[0], 0.0))
 
     def numbers_touching(self, contacts: Sequence[Sequence[int]]) -> Vector:
@@ -115,14 +102,8 @@ class SlotRows:
             side = slot.sides[0]
             self._bends.add(side.body, body_rows.bend([side.wrench(*axis) for axis in slot.axes], weights))
 
-    def _move(self, vector: Vector) -> None:
-        """Notes the motions of bodies that a vector [nv] gives them."""
-        for body, motion in body_rows.motions(self._tree, self._axes, vector, self._bodies).items():
-            if body:
-                self._motions.store(body, motion)
-
     def _along(self, slot: Slot) -> Vector:
-        motions = [(side, self._motions.row(side.body)) for side in slot.sides]
+        motions = [(side, self._loops.motions.row(side.body)) for side in slot.sides]
         return [
             total(dot(axis, side.at_point(motion, turns)) for side, motion in motions)
             for axis, turns in slot.axes

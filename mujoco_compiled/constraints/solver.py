@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, replace
 
 from mujoco_compiled.constraints.rows import (
     ConstraintRows,
-    added,
     cost,
     cost_decrease,
     curvature,
@@ -29,9 +28,7 @@ from mujoco_compiled.program.arithmetic import (
     total,
 )
 from mujoco_compiled.program.flow import repeat
-from mujoco_compiled.smooth.dynamics import Entries
-from mujoco_compiled.smooth.factor import factorize, multiply, solve
-from mujoco_compiled.smooth.tree import Tree
+from mujoco_compiled.smooth.inertia import Inertia
 
 
 @dataclass(frozen=True)
@@ -47,10 +44,9 @@ class Settings:
 
 @dataclass(frozen=True)
 class SolverProblem:
-    """mass: M. force: all but the constraints', [nv]; free: the acceleration under it, M⁻¹ force."""
+    """force: all but the constraints', [nv]; free: the acceleration under it, M⁻¹ force."""
 
-    tree: Tree
-    mass: Entries
+    inertia: Inertia
     force: Vector
     free: Vector
     rows: ConstraintRows
@@ -67,7 +63,6 @@ class _Guess:
 
 def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Vector:
     """[nv]: MuJoCo's `qacc`. It begins at `warm` [nv] or at the free acceleration, whichever costs less."""
-    tree = problem.tree
     begun, free = _guess(problem, warm), _guess(problem, problem.free)
     is_better = _cost(problem, free) < _cost(problem, begun)
     start = _Guess(
@@ -81,7 +76,7 @@ def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Ve
     )
     if problem.rows.slots:
         problem.rows.slots.begin(start.acceleration)
-    scale = 1.0 / (settings.mean_inertia * max(1, len(tree.dofs)))
+    scale = 1.0 / (settings.mean_inertia * max(1, len(problem.force)))
 
     def iterate(carried: list[Number]) -> tuple[list[Number], Number]:
         guess = _unpacked(carried, start)
@@ -97,15 +92,11 @@ def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Ve
 def _newton_direction(problem: SolverProblem, guess: _Guess) -> tuple[Vector, Vector]:
     """-H⁻¹ g, and the gradient g: [nv] each."""
     pull = pulled_back(problem.rows, forces(problem.rows, guess.residual), len(problem.force))
-    bend = curvature(problem.rows, guess.residual)
+    problem.inertia.begin()
     if problem.rows.slots:
-        of_contacts, bends = problem.rows.slots.newton(len(problem.force))
-        pull = add(pull, of_contacts)
-        for place, terms in bends.items():
-            bend.setdefault(place, []).extend(terms)
+        pull = add(pull, problem.rows.slots.newton())
     gradient = [x - y - z for x, y, z in zip(guess.inertial, problem.force, pull, strict=True)]
-    hessian = added(problem.mass, bend)
-    step = solve(problem.tree, factorize(problem.tree, hessian), gradient)
+    step = problem.inertia.solve(curvature(problem.rows, guess.residual), gradient)
     return [-x for x in step], gradient
 
 
@@ -117,7 +108,7 @@ def _line_search(
     The cost along a line is convex, and quadratic between the points where a row begins or ends to push. So
     Newton's method finds where the slope is 0, kept between places where the cost falls and where it rises.
     """
-    inertial = multiply(problem.tree, problem.mass, direction)
+    inertial = problem.inertia.multiply(direction)
     rates = times(problem.rows, direction)
     linear = total(x * (y - z) for x, y, z in zip(direction, guess.inertial, problem.force, strict=True))
     quadratic = 0.5 * dot(direction, inertial)
@@ -168,7 +159,7 @@ _FAR, _TINY = 1e30, 1e-30
 
 
 def _guess(problem: SolverProblem, acceleration: Vector) -> _Guess:
-    inertial = multiply(problem.tree, problem.mass, acceleration)
+    inertial = problem.inertia.multiply(acceleration)
     return _Guess(acceleration, inertial, residual(problem.rows, acceleration))
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mujoco_compiled.program.program import (
     Assign,
+    Bound,
     Branch,
     Each,
     Loop,
@@ -170,7 +171,11 @@ class _Interpreter:
             case "constants":
                 self.values[read.target] = np.asarray(self.memory.constants[place], self.dtype)
             case "counts":
-                self.integers[read.target] = self.counts[place]
+                number = self._bounded(self.counts[place], read.bound)
+                if read.is_number:
+                    self.values[read.target] = np.asarray(number, self.dtype)
+                else:
+                    self.integers[read.target] = number
             case "integers":
                 self.integers[read.target] = self.memory.integers[place]
 
@@ -180,6 +185,15 @@ class _Interpreter:
             self.numbers[place] = self.values[store.value]
         else:
             self.counts[place] = self._integer(store.value)
+
+    def _bounded(self, number: int, bound: Bound | None) -> int:
+        match bound:
+            case ("most", most):
+                return min(number, most)
+            case ("beyond", most):
+                return number if number > most else 0
+            case _:
+                return number
 
     def _integer(self, place: Place) -> int:
         return place.offset + sum(stride * self.integers[one] for one, stride in place.terms)

@@ -7,10 +7,10 @@ is computed for the others must change nothing, as a contact without stiffness d
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from mujoco_compiled.program.arithmetic import Number, Vector
-from mujoco_compiled.program.program import Each, Place, Program, Read, Space, Store, Symbol, Together
+from mujoco_compiled.program.arithmetic import Number, Vector, total
+from mujoco_compiled.program.program import Bound, Each, Place, Program, Read, Space, Store, Symbol, Together
 
 Index = Place | int
 
@@ -80,29 +80,41 @@ class Integers:
 
 @dataclass(frozen=True)
 class Rows:
-    """A list of integers, at most `most`, which the running program makes."""
+    """A list of integers, at most `most`, which the running program makes.
+
+    What is appended to a full one goes to a row past its end, and is lost: `overflow` tells so from then on.
+    """
 
     program: Program
     first: int
     most: int
 
     def clear(self) -> None:
-        self.program.statements.append(Store("counts", Place(self.first), Place(0)))
+        """Empties it, unless it overflowed."""
+        self._store_length(self._length(("beyond", self.most)))
 
     def append(self, value: Index) -> Place:
         """Returns the value's row in the list."""
-        length = self.length()
-        self.program.statements += [
-            Store("counts", length + (self.first + 1), _placed(value)),
-            Store("counts", Place(self.first), length + 1),
-        ]
-        return length
+        row = self.length()
+        self.program.statements.append(Store("counts", row + (self.first + 1), _placed(value)))
+        self._store_length(self._length() + 1)
+        return row
 
     def length(self) -> Place:
-        return _integer(self.program, "counts", Place(self.first), changes=True)
+        return self._length(("most", self.most))
+
+    def overflow(self) -> Number:
+        """0 unless more was ever appended than it holds."""
+        return _number(self.program, "counts", Place(self.first), bound=("beyond", self.most))
+
+    def _length(self, bound: Bound | None = None) -> Place:
+        return _integer(self.program, "counts", Place(self.first), bound=bound)
+
+    def _store_length(self, length: Place) -> None:
+        self.program.statements.append(Store("counts", Place(self.first), length))
 
     def at(self, row: Index) -> Place:
-        return _integer(self.program, "counts", _placed(row) + (self.first + 1), changes=True)
+        return _integer(self.program, "counts", _placed(row) + (self.first + 1))
 
 
 def array(program: Program, name: str, rows: int, width: int = 1) -> Array:
@@ -119,8 +131,17 @@ def rows(program: Program, name: str, most: int) -> Rows:
     memory = program.memory
     if name not in memory.arrays:
         memory.arrays[name] = memory.num_counts
-        memory.num_counts += 1 + most
+        memory.num_counts += 2 + most
+        memory.lists[name] = most
+        with program.before_loops():
+            program.statements.append(Store("counts", Place(memory.arrays[name]), Place(0)))
     return Rows(program, memory.arrays[name], most)
+
+
+def overflow(program: Program) -> Number:
+    """More than 0 if any list lost something."""
+    lists = program.memory.lists.items()
+    return total(Rows(program, program.memory.arrays[name], most).overflow() for name, most in lists)
 
 
 def column(program: Program, name: str, values: Sequence[Number]) -> Column:
@@ -129,8 +150,9 @@ def column(program: Program, name: str, values: Sequence[Number]) -> Column:
     if any(isinstance(value, Symbol) for value in values):
         is_new = name not in memory.arrays
         own = array(program, name, len(values))
-        for row, value in enumerate(values if is_new else ()):
-            own.store(row, [value])
+        with program.before_loops():
+            for row, value in enumerate(values if is_new else ()):
+                own.store(row, [value])
         return Column(program, own)
     if len(set(values)) == 1:
         return Column(program, float(values[0]))
@@ -166,7 +188,7 @@ def for_each(
     return list(inside)
 
 
-def where_any(condition: Symbol, body: Callable[[], None]) -> None:
+def where_any(condition: Symbol, body: Callable[[], object]) -> None:
     """Does the body, which stores, for all environments that are computed together if one needs it."""
     program = condition.program
     with program.block() as statements:
@@ -178,18 +200,18 @@ def _placed(index: Index) -> Place:
     return Place(index) if isinstance(index, int) else index
 
 
-def _number(program: Program, space: Space, place: Place) -> Symbol:
-    return Symbol(program, _read(program, space, place, changes=space == "numbers"))
+def _number(program: Program, space: Space, place: Place, bound: Bound | None = None) -> Symbol:
+    return Symbol(program, _read(program, Read(0, space, place, bound, is_number=space == "counts")))
 
 
-def _integer(program: Program, space: Space, place: Place, *, changes: bool = False) -> Place:
-    return Place(0, ((_read(program, space, place, changes=changes), 1),))
+def _integer(program: Program, space: Space, place: Place, bound: Bound | None = None) -> Place:
+    return Place(0, ((_read(program, Read(0, space, place, bound)), 1),))
 
 
-def _read(program: Program, space: Space, place: Place, *, changes: bool) -> int:
-    """changes: whether another number may lie there when it is read again."""
-    if not changes:
-        return program.known(("read", space, place), lambda target: Read(target, space, place))
+def _read(program: Program, read: Read) -> int:
+    """What the model has is read once; where a program stores, something else may lie the next time."""
+    if read.space in ("constants", "integers"):
+        return program.known(("read", read), lambda target: replace(read, target=target))
     target = program.new_variable()
-    program.statements.append(Read(target, space, place))
+    program.statements.append(replace(read, target=target))
     return target

@@ -69,6 +69,8 @@ class Branch:
 # Where numbers lie: `numbers` and `counts` can be written, the others are the model's. An environment has its
 # own `numbers`; an integer of `counts` is one for all environments that are computed together.
 Space = Literal["numbers", "counts", "constants", "integers"]
+# What a read makes of an integer of `counts`: the lesser of it and a bound, or 0 unless it is beyond that.
+Bound = tuple[Literal["most", "beyond"], int]
 
 
 @dataclass(frozen=True)
@@ -93,11 +95,18 @@ class Place:
 
 @dataclass(frozen=True)
 class Read:
-    """Variable `target` is what lies at a place."""
+    """Variable `target` is what lies at a place. is_number: whether an integer becomes a number."""
 
     target: int
     space: Space
     place: Place
+    bound: Bound | None = None
+    is_number: bool = False
+
+    @property
+    def is_integer(self) -> bool:
+        """Whether the variable is one of places, not of numbers."""
+        return self.space in ("counts", "integers") and not self.is_number
 
 
 @dataclass(frozen=True)
@@ -143,12 +152,13 @@ class Output:
 
 @dataclass
 class Memory:
-    """num_numbers, num_counts: how much of these spaces there is. arrays: where they begin, by name.
-    constants, integers: what lies in these spaces."""
+    """num_numbers, num_counts: how much of these spaces there is. arrays: where arrays, lists and columns
+    begin, by name. lists: how long lists may get. constants, integers: what lies in these spaces."""
 
     num_numbers: int = 0
     num_counts: int = 0
     arrays: dict[str, int] = field(default_factory=dict[str, int])
+    lists: dict[str, int] = field(default_factory=dict[str, int])
     constants: list[float] = field(default_factory=list[float])
     integers: list[int] = field(default_factory=list[int])
 
@@ -163,6 +173,7 @@ class Program:
     memory: "Memory" = field(default_factory=lambda: Memory())
     _known: dict[tuple[object, ...], int] = field(default_factory=dict[tuple[object, ...], int])
     _order: list[tuple[object, ...]] = field(default_factory=list[tuple[object, ...]])  # of what is known
+    _open: list[list[Statement]] = field(default_factory=list[list[Statement]])  # blocks around the open one
     _num_variables: int = 0
 
     def inputs(self, name: str, size: int) -> list["Symbol"]:
@@ -251,13 +262,24 @@ class Program:
     @contextmanager
     def block(self) -> Generator[list[Statement]]:
         """A block of its own: what is computed in it is not known after it."""
-        outer, num_known = self.statements, len(self._order)
+        num_known = len(self._order)
+        self._open.append(self.statements)
         self.statements = []
         yield self.statements
-        self.statements = outer
+        self.statements = self._open.pop()
         for key in self._order[num_known:]:
             del self._known[key]
         del self._order[num_known:]
+
+    @contextmanager
+    def before_loops(self) -> Generator[None]:
+        """What is written there comes before all loops and branches that are open."""
+        inner, known, order = self.statements, self._known, self._order
+        self.statements = self._open[0] if self._open else inner
+        # What is known here may be computed later than there.
+        self._known, self._order = {}, []
+        yield
+        self.statements, self._known, self._order = inner, known, order
 
     def new_variable(self) -> int:
         self._num_variables += 1

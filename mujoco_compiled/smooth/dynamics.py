@@ -44,14 +44,14 @@ class Motion:
 
 def motion(tree: Tree, at: Poses, qvel: Vector) -> Motion:
     """qvel: [nv]."""
-    centres = {root: _centre(tree, at, root) for root in {body.root for body in tree.bodies[1:]}}
+    centres = {root: centre_of(tree, at, root) for root in {body.root for body in tree.bodies[1:]}}
     found = Motion([], [], [_STILL + [0.0] * 4], [_STILL], centres)
     for number, body in list(enumerate(tree.bodies))[1:]:
         offset = subtract(at.centres[number], centres[body.root])
         found.inertias.append(about_centre(body.inertia, at.rotations[number], offset, body.mass))
         velocity = found.velocities[body.parent]
         for joint in body.joints:
-            for axes in _axes(joint, at, number, centres[body.root]):
+            for axes in axes_of(joint, at, number, centres[body.root]):
                 rates = [cross_motion(velocity, axis) for axis in axes]
                 speeds = qvel[len(found.axes) : len(found.axes) + len(axes)]
                 found.axes.extend(axes)
@@ -103,12 +103,13 @@ def _along_axes(tree: Tree, moving: Motion, forces: list[Vector]) -> Vector:
     return [dot(moving.axes[i], carried[dof.body]) for i, dof in enumerate(tree.dofs)]
 
 
-def _centre(tree: Tree, at: Poses, root: int) -> Vector:
+def centre_of(tree: Tree, at: Poses, root: int) -> Vector:
+    """The centre of mass [3] in m of a root's tree."""
     members = [number for number, body in enumerate(tree.bodies) if number and body.root == root]
     return [total(at.centres[number][k] * tree.bodies[number].share for number in members) for k in range(3)]
 
 
-def _axes(joint: JointConstants, at: Poses, body: int, centre: Vector) -> list[list[Vector]]:
+def axes_of(joint: JointConstants, at: Poses, body: int, centre: Vector) -> list[list[Vector]]:
     """The joint's axes [6] in groups: those of a group change with the velocity before the whole group."""
     arm = subtract(centre, at.anchors[joint.dof])
     unit = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]

@@ -29,12 +29,13 @@ from mujoco_compiled.smooth.tree import Tree
 Implicit = Literal["nothing", "damping", "velocities"]
 
 
-def implicit_inertia(tree: Tree, mass: Entries, qvel: Vector, timestep: float) -> Entries:
-    """M + h · the joints' damping, or how the force of one that is not linear changes at this velocity."""
-    found = dict(mass)
+def implicit_inertia(tree: Tree, qvel: Vector, timestep: float) -> Entries:
+    """What is added to M, in its own entries: h times the joints' damping, or how the force of a damper that is
+    not linear changes at this velocity."""
+    found: Entries = dict.fromkeys(tree.entries, 0.0)
     for i, dof in enumerate(tree.dofs):
         _, slope = damper_force(dof.damping, qvel[i])
-        found[i, i] = found[i, i] - timestep * slope
+        found[i, i] = -timestep * slope
     return found
 
 
