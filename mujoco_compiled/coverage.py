@@ -8,7 +8,7 @@ import numpy as np
 from mujoco_compiled.collisions.hulls import read_hull
 from mujoco_compiled.collisions.own_boxes import fixed_boxes, says_spacing
 from mujoco_compiled.collisions.table import COLLIDERS
-from mujoco_compiled.constraints.constraints import read_constraints
+from mujoco_compiled.constraints.contact_slots import MOST_SLOTS
 from mujoco_compiled.constraints.pairs import Pair, meshes_left_out, read_pairs
 from mujoco_compiled.constraints.solref import is_computable
 from mujoco_compiled.fields import GEOMETRY, Fields
@@ -44,8 +44,6 @@ _WITHOUT_EFFECT = (
 )
 _ENABLED_WITHOUT_EFFECT = _ENABLE.mjENBL_ENERGY | _ENABLE.mjENBL_FWDINV
 
-# Each point has room of some 100 bytes for every environment, on a card for every thread that it can run.
-MOST_POINTS = 20_000
 # By how much a contact may be stiffer than fits what it moves: rounding in single precision (6e-8) is 3e-4 of
 # its force then. A hundred times more, and numbers become NaN.
 _MOST_STIFFNESS = 5000.0
@@ -338,15 +336,18 @@ def _with_article(word: str) -> str:
     return f"an {word}" if word[0] in "aeiou" else f"a {word}"
 
 
-def _rows(model: mujoco.MjModel) -> Iterator[str]:
-    """Last, as it reads the constraints, which other checks must have let pass."""
-    num_points = read_constraints(model).num_points
-    if num_points > MOST_POINTS:
-        yield f"its geoms can touch at {num_points:,} points, more than {MOST_POINTS:,}"
+def _rest(model: mujoco.MjModel) -> Iterator[str]:
+    if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
+        return
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_collision(model, data)
+    if data.ncon > MOST_SLOTS:
+        yield f"its geoms touch at {data.ncon:,} points where it begins, more than {MOST_SLOTS}"
 
 
 _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (
-    _options, _combinations, _parts, _equalities, _joints, _tendons, _actuators, _contacts, _rows,
+    _options, _combinations, _parts, _equalities, _joints, _tendons, _actuators, _contacts, _rest,
 )  # fmt: skip
 _CURVE = "has a `solimp` whose power is not a multiple of a half"
 

@@ -30,7 +30,7 @@ Implicit = Literal["nothing", "damping", "velocities"]
 
 
 def implicit_inertia(tree: Tree, qvel: Vector, timestep: float) -> Entries:
-    """What is added to M, in its own entries: h times the joints' damping, or how the force of a damper that is
+    """What is added to M, in its own entries: h times the joints' damping, or how the force of one that is
     not linear changes at this velocity."""
     found: Entries = dict.fromkeys(tree.entries, 0.0)
     for i, dof in enumerate(tree.dofs):

@@ -1,8 +1,8 @@
 """Symmetric matrices in memory, and linear equations with them in loops, for bodies with contacts in slots.
 
 A row holds a degree of freedom's entries with those before it: with all of them, or with its ancestors
-alone, which are all that a tree needs. It ends with the diagonal and is filled up to blocks of four; what lies
-behind its end changes, and is never used.
+alone, which are all that a tree needs. It ends with the diagonal and is filled up to blocks of four; what
+lies behind its end changes, and is never used.
 Source: Featherstone (2008), section 6.5.
 """
 

@@ -30,8 +30,8 @@ from mujoco_compiled.smooth.spatial import about_centre, cross_force, cross_moti
 from mujoco_compiled.smooth.tree import Tree
 
 _STILL = [0.0] * 6
-# Measured on an H200: with fewer than the first, all is faster written out; with fewer than the second, products
-# are, which have few operations.
+# Measured on an H200: up to the first, all is faster written out; up to the second, products are, which have
+# few operations.
 _FEW_DOFS, _MANY_DOFS = 20, 40
 
 
@@ -318,8 +318,8 @@ def _above(tree: Tree, dof: int) -> int:
 
 
 def _before_joints(tree: Tree) -> list[int]:
-    """By degree of freedom, the row with whose velocity its axis changes: those of a ball change together, and
-    a free joint's rotations with the velocity after its translations."""
+    """By degree of freedom, the row with whose velocity its axis changes: those of a ball change together,
+    and a free joint's rotations with the velocity after its translations."""
     found = list[int]()
     for body in tree.bodies:
         for joint in body.joints:
