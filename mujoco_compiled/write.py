@@ -51,9 +51,10 @@ class Plan:
 def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
     """The same for as many lanes as the body has limbs that are alike; for one if it has none."""
     model = read_model(plan.model)
-    # More than these would be too long to write out.
-    ways = ways_to_share(plan.model) if model.constraints.num_points <= _MOST_POINTS_IN_LANES else ()
-    for limbs in ways:
+    # More points than these would be too long to write out, and a fold has no tables.
+    constraints = model.constraints
+    is_short = constraints.num_points <= _MOST_POINTS_IN_LANES and not constraints.are_of_meshes
+    for limbs in ways_to_share(plan.model) if is_short else ():
         try:
             alike = alike_inputs(model, limbs, plan.own)
             return folded(control_step_program(plan, num_substeps, limbs), alike, limbs.num_lanes)

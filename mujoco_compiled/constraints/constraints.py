@@ -64,6 +64,11 @@ class Constraints:
         return len(self.contacts) > FEW_CONTACTS and not self.are_written_out
 
     @property
+    def are_of_meshes(self) -> bool:
+        """Whether some contacts are, whose hulls are tables of the program."""
+        return any(geom.hull for contact in self.contacts for geom in (contact.one, contact.other))
+
+    @property
     def num_points(self) -> int:
         """Where geoms can touch."""
         return sum(contact.num_points for contact in self.contacts)

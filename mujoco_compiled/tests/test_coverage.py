@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from mujoco_compiled.collisions.hulls import MOST_VERTICES, read_hull
+from mujoco_compiled.constraints.constraints import read_constraints
 from mujoco_compiled.constraints.contact_slots import MOST_SLOTS
 from mujoco_compiled.coverage import left_out, uncovered
 from mujoco_compiled.tests.bodies import brax_model
@@ -141,3 +142,8 @@ def test_what_a_simpler_hull_cuts_off_is_said() -> None:
     assert 1e-5 < hull.error < 2e-3
     reach = max(np.linalg.norm(vertex) for vertex in hull.vertices)
     assert reach < 0.102
+
+
+def test_meshes_are_known_as_tables() -> None:
+    assert read_constraints(shells(20)).are_of_meshes
+    assert not read_constraints(body()).are_of_meshes
