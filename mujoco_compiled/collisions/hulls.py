@@ -144,10 +144,12 @@ def _simpler(whole: bytes) -> tuple[Array, Faces, float]:
         found, faces = _hull_of(vertices[chosen])
         beyond = np.array([(vertices - own[0]) @ normal for own, normal in faces])
         left = min(_AT_ONCE, MOST_VERTICES - len(chosen))
-        if left == 0:
-            return found, faces, float(beyond.max())
         farthest = beyond.argmax(axis=1)[np.argsort(-beyond.max(axis=1))]
-        chosen = np.union1d(chosen, list(dict.fromkeys(farthest))[:left])
+        more = [one for one in dict.fromkeys(farthest.tolist()) if one not in chosen][:left]
+        # None is left where all others are within rounding of the hull.
+        if not more:
+            return found, faces, max(0.0, float(beyond.max()))
+        chosen = np.union1d(chosen, more)
 
 
 def _hull_of(vertices: Array) -> tuple[Array, Faces]:

@@ -147,3 +147,15 @@ def test_what_a_simpler_hull_cuts_off_is_said() -> None:
 def test_meshes_are_known_as_tables() -> None:
     assert read_constraints(shells(20)).are_of_meshes
     assert not read_constraints(body()).are_of_meshes
+
+
+def test_a_hull_is_made_simpler_where_few_faces_have_corners_beyond_them() -> None:
+    # Two rings: 16 corners are added at once, and there are soon fewer faces beyond which others are.
+    angles = np.linspace(0.0, 2.0 * np.pi, MOST_VERTICES, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    corners = 0.1 * np.concatenate([ring, 0.8 * ring + [0.0, 0.0, 1.0]])
+    vertices = " ".join(f"{x:.6f}" for x in corners.ravel())
+    hull = read_hull(mujoco.MjModel.from_xml_string(MESHES.format(vertices, "")), 1)
+    assert hull is not None
+    assert len(hull.vertices) <= MOST_VERTICES
+    assert hull.error < 1e-3
