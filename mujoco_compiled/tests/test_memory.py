@@ -1,0 +1,92 @@
+"""Loops over tables, lists and arrays: NumPy runs them as written, and machine code for several at once."""
+
+import numpy as np
+
+from mujoco_compiled.program.arithmetic import Number, Vector
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.memory import (
+    array,
+    column,
+    for_each,
+    integers,
+    overflow,
+    rows,
+    where_any,
+)
+from mujoco_compiled.program.program import Place, Program
+from mujoco_compiled.tests.test_machine_code import run
+
+WEIGHTS = [0.5, 2.0, 4.0]
+GIVEN = np.array([0.0, 1.0, -3.0, 8.0, 0.25], np.float32)
+
+
+def both(program: Program) -> dict[str, np.ndarray]:
+    """The outputs of machine code, which must be those of NumPy."""
+    found = run(program, {"x": [GIVEN]})
+    for name, values in interpret(program, {"x": [GIVEN]}).items():
+        expected = [np.broadcast_to(value, GIVEN.shape) for value in values]
+        np.testing.assert_array_equal(found[name], np.array(expected, np.float32))
+    return found
+
+
+def test_a_loop_reads_the_models_numbers_and_an_environments_own() -> None:
+    program = Program()
+    (x,) = program.inputs("x", 1)
+    weights, own = column(program, "weights", WEIGHTS), column(program, "own", [x, 2.0 * x, 1.0])
+
+    def add(row: Place, now: Vector) -> Vector:
+        return [now[0] + weights.at(row) * own.at(row)]
+
+    program.output("sum", for_each(program, len(WEIGHTS), add, [0.0]))
+    np.testing.assert_array_equal(both(program)["sum"][0], 4.5 * GIVEN + 4.0)
+
+
+def test_what_a_loop_adds_to_a_chosen_row_stays_there() -> None:
+    program = Program()
+    (x,) = program.inputs("x", 1)
+    held, targets = array(program, "held", 2, 2), integers(program, "targets", [1, 0, 1])
+    for row in range(2):
+        held.store(row, [x, 10.0])
+
+    def add(row: Place, _: Vector) -> Vector:
+        held.add(targets.at(row), [1.0], first=1)
+        return []
+
+    for_each(program, 3, add)
+    program.output("held", [*held.row(0), *held.row(1)])
+    expected = [GIVEN, np.full(5, 11.0), GIVEN, np.full(5, 12.0)]
+    np.testing.assert_array_equal(both(program)["held"], expected)
+
+
+def above(program: Program, x: Number, most: int) -> Vector:
+    """How many of three weights the environments together are above, their sum, and what was lost."""
+    chosen, weights = rows(program, "chosen", most), column(program, "weights", WEIGHTS)
+
+    def look(row: Place, _: Vector) -> Vector:
+        where_any(x > weights.at(row), lambda: chosen.append(row))
+        return []
+
+    def add(row: Place, now: Vector) -> Vector:
+        return [now[0] + 1.0, now[1] + weights.at(chosen.at(row))]
+
+    chosen.clear()
+    for_each(program, len(WEIGHTS), look)
+    return [*for_each(program, chosen.length(), add, [0.0, 0.0]), overflow(program)]
+
+
+def test_a_list_has_what_one_of_those_that_are_computed_together_needs() -> None:
+    program = Program()
+    program.output("found", above(program, program.inputs("x", 1)[0], most=3))
+    # `run` computes the last environment alone.
+    found = run(program, {"x": [GIVEN]})["found"]
+    np.testing.assert_array_equal(found, [[3, 3, 3, 3, 0], [6.5, 6.5, 6.5, 6.5, 0], [0] * 5])
+    program = Program()
+    program.output("found", above(program, program.inputs("x", 1)[0], most=3))
+    np.testing.assert_array_equal(interpret(program, {"x": [GIVEN]})["found"], [3, 6.5, 0])
+
+
+def test_a_list_that_overflows_tells_so_and_keeps_what_it_holds() -> None:
+    program = Program()
+    program.output("found", above(program, program.inputs("x", 1)[0], most=2))
+    found = run(program, {"x": [GIVEN]})["found"]
+    np.testing.assert_array_equal(found, [[2, 2, 2, 2, 0], [2.5, 2.5, 2.5, 2.5, 0], [3, 3, 3, 3, 0]])
