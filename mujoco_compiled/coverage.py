@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from mujoco_compiled.collisions.hulls import read_hull
-from mujoco_compiled.collisions.own_boxes import fixed_boxes, says_spacing
+from mujoco_compiled.collisions.own_boxes import fixed_boxes
 from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.constraints.contact_slots import MOST_SLOTS
 from mujoco_compiled.constraints.pairs import Pair, meshes_left_out, read_pairs
@@ -119,8 +119,6 @@ def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
         mocap = model.body_mocapid >= 0
         yield from (f"{name}: {reason}" for reason in where(model, "body", mocap, "is a mocap body"))
         yield from (f"{name}: {reason}" for reason in _touched_where_they_are(model))
-    if name in GEOMETRY and len(fixed_boxes(model)) > 1 and not says_spacing(model):
-        yield f"{name}: the model does not say how far apart its boxes stay (`box_spacing`)"
     if name == "actuator_dynprm":
         exact = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
         yield from (f"{name}: {reason}" for reason in where(model, "actuator", exact, "is an exact filter"))

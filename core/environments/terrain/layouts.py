@@ -263,7 +263,6 @@ class Layouts:
     tops: Floats
     lowest: Floats
     lift: Floats
-    spacing: tuple[float, ...]
 
 
 def draw_layouts(terrain: Terrain) -> Layouts:
@@ -279,7 +278,6 @@ def draw_layouts(terrain: Terrain) -> Layouts:
         np.stack(rows)
         for rows in zip(*((o.places, o.sizes, o.quaternions(), o.tops()) for o in every), strict=True)
     )
-    upright = num_upright(terrain)
     return Layouts(
         places=places.astype(np.float32),
         sizes=sizes.astype(np.float32),
@@ -287,7 +285,6 @@ def draw_layouts(terrain: Terrain) -> Layouts:
         tops=tops.astype(np.float32),
         lowest=np.array([one.lowest for one in every], np.float32),
         lift=_heights_at_the_start(tops).astype(np.float32),
-        spacing=_spacing(places[:, :upright], sizes[:, :upright]),
     )
 
 
@@ -295,13 +292,3 @@ def _heights_at_the_start(tops: NDArray[np.float64]) -> NDArray[np.float64]:
     """[..], of the ground where the robot starts."""
     is_above = (np.abs(tops[..., :2]) <= tops[..., 2:4]).all(axis=-1)
     return np.where(is_above, tops[..., 4] - tops[..., 5] * tops[..., 0], -np.inf).max(axis=-1)
-
-
-def _spacing(places: NDArray[np.float64], sizes: NDArray[np.float64]) -> tuple[float, ...]:
-    """The least free length between a box [.., boxes, 3] and the 1st, 2nd, … after it, in any layout."""
-
-    def least(step: int) -> float:
-        apart = np.abs(places[:, step:] - places[:, :-step]) - sizes[:, step:] - sizes[:, :-step]
-        return float(apart.max(axis=-1).min())
-
-    return tuple(least(step) for step in range(1, places.shape[1]))

@@ -5,7 +5,7 @@ import numpy as np
 
 from core.environments.terms.describe import is_level_plane, touchable
 from core.environments.terms.terrain import BOX, Terrain
-from core.environments.terrain.layouts import Layout, draw_layouts, num_upright
+from core.environments.terrain.layouts import Layout, num_upright
 from core.errors import JobFailed
 from core.reasons import Reason
 
@@ -44,8 +44,6 @@ def add_boxes(spec: mujoco.MjSpec, model: mujoco.MjModel, terrain: Terrain) -> N
         box.rgba = _COLOURS[kind]
         for name in _LIKE_THE_FLOOR:
             setattr(box, name, getattr(floor, name))
-    if spacing := draw_layouts(terrain).spacing:
-        spec.add_numeric(name="box_spacing", data=list(spacing), size=len(spacing))
     for name in _EXTENT:
         setattr(spec.stat, name, getattr(model.stat, name))
 

@@ -56,12 +56,6 @@ class Layouts:
     obstacles: Floats
     largest: CorridorOptions
 
-    @property
-    def spacing(self) -> list[float]:
-        """The least free length, in m, between a box and the 1st, 2nd, … after it, in any layout."""
-        begin, end = (self.boxes[:, :, 0, 0] + sign * self.boxes[:, :, 1, 0] for sign in (-1, 1))
-        return [float((begin[:, k:] - end[:, :-k]).min()) for k in range(1, begin.shape[1])]
-
     def fields(self, model: mujoco.MjModel) -> Mapping[str, Floats]:
         """The fields of the model [.., …] that differ between layouts."""
         numbers = [index for index in range(model.ngeom) if is_box(model.geom(index).name)]

@@ -1,6 +1,5 @@
 """The composed corridor, without the parts that cost time."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -89,17 +88,17 @@ _GROUND, _SIDES = 1, 2
 _CONTACT_POINTS, _GEOM_PAIRS = 32, 64
 
 
-def corridor_model(options: CorridorOptions, spacing: Sequence[float] = ()) -> mujoco.MjModel:
+def corridor_model(options: CorridorOptions) -> mujoco.MjModel:
     """`corridor_spec` as a model."""
-    return corridor_spec(options, spacing).compile()
+    return corridor_spec(options).compile()
 
 
-def corridor_spec(options: CorridorOptions, spacing: Sequence[float] = ()) -> mujoco.MjSpec:
+def corridor_spec(options: CorridorOptions) -> mujoco.MjSpec:
     """The walker at the start of its corridor; the numeric `init_qpos` is how it stands there.
 
     The trunk and all limbs touch the ground, platforms and obstacles; the trunk alone touches the planes
     that bound the corridor; the walker does not touch itself. Friction cones are pyramidal, without noslip
-    iterations, which MJX and MuJoCo Warp do not have. spacing: see `Layouts`, where there are several.
+    iterations, which MJX and MuJoCo Warp do not have.
     """
     spec, upright = composed(options)
     info = WALKERS[options.walker]
@@ -125,8 +124,6 @@ def corridor_spec(options: CorridorOptions, spacing: Sequence[float] = ()) -> mu
             geom.group = HIDDEN
     spec.add_numeric(name="max_contact_points", data=[_CONTACT_POINTS], size=1)
     spec.add_numeric(name="max_geom_pairs", data=[_GEOM_PAIRS], size=1)
-    if spacing:
-        spec.add_numeric(name="box_spacing", data=list(spacing), size=len(spacing))
     spec.add_numeric(name="init_qpos", data=_start(spec.compile(), upright, settles=info.settles), size=0)
     return spec
 
@@ -137,7 +134,7 @@ def model_and_layouts(options: CorridorOptions) -> tuple[mujoco.MjModel, Layouts
     if not options.has_layouts:
         return corridor_model(options), None
     layouts = draw_layouts(options)
-    return corridor_model(layouts.largest, layouts.spacing), layouts
+    return corridor_model(layouts.largest), layouts
 
 
 def obstacles(model: mujoco.MjModel) -> list[Obstacle]:

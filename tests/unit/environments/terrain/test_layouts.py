@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from core.environments.terms.terrain import MOST_BOXES, Ground, Kind, Terrain
-from core.environments.terrain.layouts import Layout, draw_layouts, layout, num_boxes
+from core.environments.terrain.layouts import Layout, layout, num_boxes
 from core.environments.terrain.model import add_boxes, boxes_of
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -85,12 +85,6 @@ def test_the_ground_is_as_high_as_a_ray_finds_it(kind: Kind) -> None:
     np.testing.assert_allclose(ground.height(points, np), found, atol=1e-6)
     on_the_device = ground._replace(tops=jnp.asarray(ground.tops))
     np.testing.assert_allclose(on_the_device.height(jnp.asarray(points), jnp), found, atol=1e-5)
-
-
-def test_a_foot_is_near_one_box_at_most_of_every_fourth() -> None:
-    # The longest foot of a robot of the catalog reaches 9.4 cm from its middle.
-    spacing = draw_layouts(EVERY).spacing
-    assert min(spacing[3::4]) > 2 * 0.094
 
 
 def test_only_boxes_that_are_used_are_there() -> None:
