@@ -83,13 +83,14 @@ def record(
     apart: numbers of geoms that pass through each other, as in an engine that leaves them out. None if C
     MuJoCo's own state bursts even without controls.
     """
-    with _passing(apart):
+    with passing(apart):
         return _record(model, seed)
 
 
 @contextmanager
-def _passing(apart: Collection[tuple[int, int]]) -> Generator[None]:
-    """MuJoCo asks this process's one filter about each pair of geoms."""
+def passing(apart: Collection[tuple[int, int]]) -> Generator[None]:
+    """Lets these geoms pass through each other in C MuJoCo, which asks this process's one filter about each
+    pair."""
     if not apart:
         yield
         return
