@@ -1,9 +1,9 @@
 """A slot for each point where geoms touch: the contacts of bodies with many pairs of geoms.
 
 All that the solver does with such contacts is a loop over slots, so that a step takes as long as there are
-contacts, and code does not grow with the number of pairs. A slot is there for all environments that are
-computed together if one of them touches there. In the others it has no stiffness and changes nothing: sums
-get zeros more, and keep their bits.
+contacts, and code does not grow with the number of pairs. A slot is there for all lanes of a CPU's vector if
+one of them touches there. In the others it has no stiffness and changes nothing: sums get zeros more, and
+keep their bits. On a GPU each thread has its own slots.
 """
 
 from collections.abc import Callable, Sequence

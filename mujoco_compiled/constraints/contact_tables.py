@@ -4,8 +4,6 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
-import mujoco
-
 from mujoco_compiled.collisions.hulls import Hull
 from mujoco_compiled.collisions.shapes import Placed, Touch
 from mujoco_compiled.collisions.table import COLLIDERS
@@ -27,7 +25,6 @@ from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
 from mujoco_compiled.smooth.tree_loops import TreeLoops
 
-_PLANE, _BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
 _UNTURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
@@ -130,16 +127,10 @@ class _GeomTable:
             self._frames.store(body, [*at.positions[body], *_flat(at.rotations[body])])
         for_each(self._program, len(self._geoms), lambda row, _: self._place(row))
 
-    def position(self, row: Place) -> Vector:
-        return self._placed.read(row, range(3))
-
-    def rotation(self, row: Place) -> Matrix:
-        return _square(self._placed.read(row, range(3, 12)))
-
     def placed(self, row: Place, hull: Hull | None = None) -> Placed:
         """hull: a mesh's, which rows that one loop looks at share."""
-        size = [column.at(row) for column in self._sizes]
-        return Placed(self.position(row), self.rotation(row), _UNTURNED, size, hull)
+        frame, size = self._placed.row(row), [column.at(row) for column in self._sizes]
+        return Placed(frame[:3], _square(frame[3:]), _UNTURNED, size, hull)
 
     def _place(self, row: Place) -> Vector:
         frame, local = self._frames.row(self._body.at(row)), [column.at(row) for column in self._local]
@@ -161,7 +152,6 @@ class _Loop:
     ) -> None:
         self.kind, self.contacts, self.first = kind, contacts, contacts[0]
         self.begin = next(row for row, one in enumerate(kind.contacts) if one is self.first)
-        self._table = geoms
         self.close = rows(kind.program, f"{kind.name} {number} close", len(contacts))
         self._rows = [
             integers(kind.program, f"{kind.name} {number} geoms {k}", [geoms.rows[one.number] for one in own])

@@ -1,9 +1,9 @@
 """Memory that a program computes places in: arrays, tables of the model, lists, and loops over them.
 
 The code of a loop over a table is written once, however many rows the table has. A place is the same for all
-environments that are computed together (the lanes of a vector on a CPU, the threads of a warp on a GPU), so
-that they read and write side by side. Where one of them needs a row of a list, all of them compute it: what
-is computed for the others must change nothing, as a contact without stiffness does.
+environments that are computed together: the lanes of a vector on a CPU, and on a GPU a thread's one. Where
+one of them needs a row of a list, all of them compute it: what is computed for the others must change
+nothing, as a contact without stiffness does.
 """
 
 from collections.abc import Callable, Sequence
