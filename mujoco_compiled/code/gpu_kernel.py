@@ -119,8 +119,9 @@ def threads_of(num_lanes: int) -> int:
 
 
 def most_warps(program: Program, section_size: int | None) -> int:
-    """The most warps of a block: several if they stay together."""
-    return 8 if section_size is None and num_operations(program.statements) > _LARGE else 1
+    """The most warps of a block: several if they stay together. Threads with lists of their own do not."""
+    stay_together = section_size is None and not program.memory.lists
+    return 8 if stay_together and num_operations(program.statements) > _LARGE else 1
 
 
 def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> str:
