@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from mujoco_compiled.constraints.laws import Law
 from mujoco_compiled.program.arithmetic import Matrix, Number, Vector, add, dot, scale, total
 from mujoco_compiled.smooth.tree import Tree
+from mujoco_compiled.smooth.tree_loops import lower
 
 Terms = dict[tuple[int, int], list[Number]]
 
@@ -57,7 +58,7 @@ def curvature(tree: Tree, axes: Sequence[Vector], bends: Mapping[int, list[Vecto
     """Terms of a matrix's lower triangle. bends: by body, what `bend` found."""
     found = Terms()
     for body, whole in _carried(tree, {body: _sum(several) for body, several in bends.items()}).items():
-        rows = [[whole[_place(k, m)] for m in range(6)] for k in range(6)]
+        rows = [[whole[lower(k, m)] for m in range(6)] for k in range(6)]
         for i in _own_dofs(tree, body):
             force = [dot(row, axes[i]) for row in rows]
             for j in (*tree.dofs[i].ancestors, i):
@@ -70,12 +71,6 @@ def bend(wrenches: Sequence[Vector], weights: Matrix) -> Vector:
     components = list(zip(*wrenches, strict=True))
     products = [[dot(row, component) for row in weights] for component in components]
     return [dot(components[m], products[k]) for k in range(6) for m in range(k + 1)]
-
-
-def _place(k: int, m: int) -> int:
-    """The index of a symmetric matrix's entry among those of its lower triangle."""
-    high, low = max(k, m), min(k, m)
-    return high * (high + 1) // 2 + low
 
 
 def _carried(tree: Tree, own: dict[int, Vector]) -> dict[int, Vector]:

@@ -145,7 +145,7 @@ def overflow(program: Program) -> Number:
 
 
 def column(program: Program, name: str, values: Sequence[Number]) -> Column:
-    """values: by row. The first call of this name makes it; an environment's own numbers go to an array."""
+    """values: by row. The first call makes it; an environment's own numbers go to the array of this name."""
     memory = program.memory
     if any(isinstance(value, Symbol) for value in values):
         is_new = name not in memory.arrays
@@ -156,10 +156,12 @@ def column(program: Program, name: str, values: Sequence[Number]) -> Column:
         return Column(program, own)
     if len(set(values)) == 1:
         return Column(program, float(values[0]))
-    if name not in memory.arrays:
-        memory.arrays[name] = len(memory.constants)
+    # Two tables of one name may have different numbers: those of two kinds of sensors, for example.
+    table = f"{name}: {values}"
+    if table not in memory.arrays:
+        memory.arrays[table] = len(memory.constants)
         memory.constants += [float(value) for value in values]
-    return Column(program, memory.arrays[name])
+    return Column(program, memory.arrays[table])
 
 
 def integers(program: Program, name: str, values: Sequence[int]) -> Integers:

@@ -41,6 +41,18 @@ def test_a_loop_reads_the_models_numbers_and_an_environments_own() -> None:
     np.testing.assert_array_equal(both(program)["sum"][0], 4.5 * GIVEN + 4.0)
 
 
+def test_tables_of_one_name_have_each_their_own_numbers() -> None:
+    program = Program()
+    (x,) = program.inputs("x", 1)
+    one, other = (column(program, "weights", values) for values in (WEIGHTS, WEIGHTS[::-1]))
+
+    def add(row: Place, now: Vector) -> Vector:
+        return [now[0] + x * one.at(row), now[1] + other.at(row) * one.at(row)]
+
+    program.output("sums", for_each(program, len(WEIGHTS), add, [0.0, 0.0]))
+    np.testing.assert_array_equal(both(program)["sums"], [6.5 * GIVEN, np.full(5, 8.0)])
+
+
 def test_what_a_loop_adds_to_a_chosen_row_stays_there() -> None:
     program = Program()
     (x,) = program.inputs("x", 1)
