@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mujoco_compiled.constraints.pairs import meshes_left_out, pairs_of_geoms
     from mujoco_compiled.coverage import Uncovered, left_out, uncovered, uncovered_own
     from mujoco_compiled.data import Data, forward, make_data, put_data, step
-    from mujoco_compiled.fields import MODEL_FIELDS
+    from mujoco_compiled.fields import GEOMETRY, MODEL_FIELDS, model_field
     from mujoco_compiled.model import Model, put_model
     from mujoco_compiled.readings.derived import DERIVED_FIELDS
     from mujoco_compiled.readings.sensor_coverage import unread_sensors
@@ -27,7 +27,7 @@ _WHERE = {
     "constraints.pairs": ("meshes_left_out", "pairs_of_geoms"),
     "coverage": ("Uncovered", "left_out", "uncovered", "uncovered_own"),
     "data": ("Data", "forward", "make_data", "put_data", "step"),
-    "fields": ("MODEL_FIELDS",),
+    "fields": ("GEOMETRY", "MODEL_FIELDS", "model_field"),
     "model": ("Model", "put_model"),
     "readings.derived": ("DERIVED_FIELDS",),
     "readings.sensor_coverage": ("unread_sensors",),
@@ -35,6 +35,7 @@ _WHERE = {
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 __all__ = [
     "DERIVED_FIELDS",
+    "GEOMETRY",
     "MODEL_FIELDS",
     "Data",
     "Model",
@@ -45,6 +46,7 @@ __all__ = [
     "left_out",
     "make_data",
     "meshes_left_out",
+    "model_field",
     "pairs_of_geoms",
     "put_data",
     "put_model",

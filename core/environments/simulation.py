@@ -21,7 +21,8 @@ from core.environments.simulated_model import NotSimulated, as_xml
 from core.environments.terms.commands import CommandRange
 from core.environments.tracing import expressed
 from core.physics.engine import DERIVED_FIELDS, NOMINAL, ModelFields, PhysicsState
-from core.physics.model import GEOMETRY, with_loose_frames
+from core.physics.model import with_loose_frames
+from mujoco_compiled import GEOMETRY
 
 if TYPE_CHECKING:
     from core.environments.mujoco_env import MujocoEnv

@@ -31,7 +31,7 @@ OVERFLOW = "overflow"
 # Fields of the model that may differ between environments, by their names in `mujoco.batch`. Their values do
 # not change the structure of an engine's model, except `dof_frictionloss`: where the model has none, MJX
 # makes no room for any. Constants that MuJoCo derives from them (`CONSTANTS`) are not recomputed: code that
-# changes a mass must pass them, too. Those of `model.GEOMETRY` may differ for boxes that never move, and
+# changes a mass must pass them, too. Those of `GEOMETRY` may differ for boxes that never move, and
 # are passed together.
 MODEL_FIELDS = (
     "actuator_acc0",

@@ -4,7 +4,6 @@ import copy
 from collections.abc import Collection
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -13,12 +12,8 @@ from numpy.typing import NDArray
 from core.errors import JobFailed
 from core.physics.engine import SolverSettings
 from core.reasons import Reason
+from mujoco_compiled import GEOMETRY
 
-if TYPE_CHECKING:  # Code that only reads a model must not load JAX.
-    from core.physics.engine import SolverSettings
-
-# Where geoms are, how turned and how large, and the bounds that MuJoCo derives from it.
-GEOMETRY = ("geom_aabb", "geom_pos", "geom_quat", "geom_rbound", "geom_size")
 _LEAST_ITERATIONS = 2
 _SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
 
@@ -69,7 +64,7 @@ def initial_qpos(model: mujoco.MjModel) -> NDArray[np.float64]:
     return model.qpos0.copy()
 
 
-def with_solver(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
+def with_solver(model: mujoco.MjModel, settings: SolverSettings | None) -> mujoco.MjModel:
     """A copy of the model with these solver settings; if None, an unchanged copy."""
     changed = copy.copy(model)
     if settings is None:
@@ -83,7 +78,7 @@ def with_solver(model: mujoco.MjModel, settings: "SolverSettings | None") -> muj
     return changed
 
 
-def with_asked_solver(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
+def with_asked_solver(model: mujoco.MjModel, settings: SolverSettings | None) -> mujoco.MjModel:
     """A copy of the model with those of these solver settings that the job itself gives; for `native`."""
     changed = copy.copy(model)
     for name in settings.asked if settings is not None else ():
@@ -92,7 +87,7 @@ def with_asked_solver(model: mujoco.MjModel, settings: "SolverSettings | None") 
     return changed
 
 
-def with_enough_iterations(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
+def with_enough_iterations(model: mujoco.MjModel, settings: SolverSettings | None) -> mujoco.MjModel:
     """A copy of the model with these solver settings, for `warp` and `compiled`: they make two iterations at
     least, unless the job itself gives a number.
 
@@ -106,7 +101,7 @@ def with_enough_iterations(model: mujoco.MjModel, settings: "SolverSettings | No
     return changed
 
 
-def with_solver_of_compiled(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
+def with_solver_of_compiled(model: mujoco.MjModel, settings: SolverSettings | None) -> mujoco.MjModel:
     """A copy of the model as `compiled` steps it."""
     own = settings.compiled if settings is not None else None
     return with_enough_iterations(model, own or settings)
@@ -125,11 +120,6 @@ def with_loose_frames(model: mujoco.MjModel, own: Collection[str]) -> mujoco.MjM
     if has_centres:
         loose.body_sameframe[:] = loose.site_sameframe[:] = apart
     return loose
-
-
-def model_field(model: Any, name: str) -> Any:
-    """A field of a model, MuJoCo's or an engine's; fields of its options are called `opt.…`."""
-    return getattr(model.opt, name.removeprefix("opt.")) if name.startswith("opt.") else getattr(model, name)
 
 
 Floats = NDArray[np.float32]

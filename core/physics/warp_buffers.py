@@ -15,8 +15,8 @@ wp.config.log_level = wp.LOG_WARNING
 from mujoco.mjx.third_party import mujoco_warp as mjw  # noqa: E402
 
 from core.physics.capacity import capacity, measure  # noqa: E402
-from core.physics.model import model_field  # noqa: E402
 from core.physics.warp_step import FixedGeoms, Substep, load_kernels  # noqa: E402
+from mujoco_compiled import model_field  # noqa: E402
 
 Move = Literal["forward", "step"]
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, OVERFLOW, ModelFields, PhysicsState, check_model_fields
-from core.physics.model import model_field
 from core.physics.warp_buffers import LOST, Move, WarpBuffers, program
 from core.reasons import Reason
+from mujoco_compiled import model_field
 
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 

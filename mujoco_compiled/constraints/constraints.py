@@ -21,6 +21,7 @@ from mujoco_compiled.constraints.contacts import (
 )
 from mujoco_compiled.constraints.couplings import Coupling, coupling_row, read_couplings
 from mujoco_compiled.constraints.friction_loss import FrictionLoss, friction_row, read_friction_losses
+from mujoco_compiled.constraints.laws import RowGroup
 from mujoco_compiled.constraints.limits import (
     BallLimit,
     Limit,
@@ -29,7 +30,7 @@ from mujoco_compiled.constraints.limits import (
     read_ball_limits,
     read_limits,
 )
-from mujoco_compiled.constraints.rows import ConstraintRows, RowGroup, lower_triangle
+from mujoco_compiled.constraints.rows import ConstraintRows, lower_triangle
 from mujoco_compiled.constraints.slot_rows import SlotRows
 from mujoco_compiled.constraints.ties import Tie, read_ties, tie_rows
 from mujoco_compiled.fields import NOMINAL, Fields, Own

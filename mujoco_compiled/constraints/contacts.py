@@ -16,9 +16,8 @@ from mujoco_compiled.collisions.shapes import Geom, Placed, Touch, placed, read_
 from mujoco_compiled.collisions.table import CHEAP, COLLIDERS
 from mujoco_compiled.constraints.body_rows import BodyGroup
 from mujoco_compiled.constraints.cone import Cone
-from mujoco_compiled.constraints.laws import Law, OneSided, Pyramid
+from mujoco_compiled.constraints.laws import Direction, Law, OneSided, Pyramid, RowGroup
 from mujoco_compiled.constraints.pairs import ContactParameters, Pair, read_pairs
-from mujoco_compiled.constraints.rows import Direction, RowGroup
 from mujoco_compiled.constraints.skipping import groups_where, touches_where
 from mujoco_compiled.constraints.solref import impedance_at, reference_at, stiffness_at
 from mujoco_compiled.fields import Fields
@@ -135,7 +134,7 @@ def is_better_by_body(tree: Tree, contacts: Sequence[ContactPair]) -> bool:
     for contact in contacts:
         if contact.one.body and contact.other.body:
             continue
-        size = len(moved_by(tree, contact.one.body or contact.other.body))
+        size = len(tree.bodies[contact.one.body or contact.other.body].moved_by)
         # Operations for the curvature, the residual and the forces, with three directions.
         one_by_one += contact.num_points * (size * (size + 1) // 2 * 5 + size * 23)
         by_body += contact.num_points * 240
@@ -213,19 +212,9 @@ def directions(number: int, touch: Touch) -> list[tuple[Vector, bool]]:
     return [(axis, turns) for turns in (False, True) for axis in frame][:number]
 
 
-def moved_by(tree: Tree, body: int) -> list[int]:
-    """The degrees of freedom that move the body."""
-    while body:
-        own = [i for i, dof in enumerate(tree.dofs) if dof.body == body]
-        if own:
-            return [*tree.dofs[own[-1]].ancestors, own[-1]]
-        body = tree.bodies[body].parent
-    return []
-
-
 def moved_apart(tree: Tree, bodies: tuple[int, int]) -> tuple[list[int], list[int]]:
     """For each of two bodies, the degrees of freedom that move it alone."""
-    one, other = (moved_by(tree, body) for body in bodies)
+    one, other = (tree.bodies[body].moved_by for body in bodies)
     return [i for i in one if i not in other], [i for i in other if i not in one]
 
 

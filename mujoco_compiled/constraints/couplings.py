@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from mujoco_compiled.constraints.laws import TwoSided
-from mujoco_compiled.constraints.rows import RowGroup
+from mujoco_compiled.constraints.laws import RowGroup, TwoSided
 from mujoco_compiled.constraints.solref import (
     SpringDamper,
     full_stiffness,

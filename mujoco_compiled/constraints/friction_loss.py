@@ -5,8 +5,7 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Friction loss"
 
 from dataclasses import dataclass
 
-from mujoco_compiled.constraints.laws import Slope
-from mujoco_compiled.constraints.rows import RowGroup
+from mujoco_compiled.constraints.laws import RowGroup, Slope
 from mujoco_compiled.constraints.solref import (
     SpringDamper,
     full_stiffness,

@@ -20,6 +20,8 @@ from mujoco_compiled.program.arithmetic import (
     total,
 )
 
+# How a motion of each degree of freedom that matters moves along it.
+Direction = dict[int, Number]
 # The cost's first and second derivative at a step along a line.
 Slope = Callable[[Number], tuple[Number, Number]]
 
@@ -51,6 +53,24 @@ class Law(Protocol):
     def cost_decrease(self, before: Vector, after: Vector) -> Number:
         """cost(before) - cost(after), computed without cancellation."""
         ...
+
+
+@dataclass(frozen=True)
+class RowGroup:
+    """The directions have the same degrees of freedom. reference: by direction, the wanted acceleration.
+
+    may_push: in which environments the law is not 0 everywhere; True: perhaps in all.
+    """
+
+    directions: Sequence[Direction]
+    reference: Vector
+    law: Law
+    may_push: Number = True
+
+    @property
+    def size(self) -> int:
+        """The number of directions."""
+        return len(self.directions)
 
 
 def with_stiffness(law: Law, stiffness: Number) -> Law:

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from mujoco_compiled.constraints.laws import OneSided
-from mujoco_compiled.constraints.rows import RowGroup
+from mujoco_compiled.constraints.laws import OneSided, RowGroup
 from mujoco_compiled.constraints.solref import (
     SpringDamper,
     impedance_at,

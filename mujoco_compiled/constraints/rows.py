@@ -8,38 +8,14 @@ A group that pushes in no environment of a vector costs nothing: its numbers are
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 from mujoco_compiled.constraints import body_rows
 from mujoco_compiled.constraints.body_rows import BodyGroup
-from mujoco_compiled.constraints.laws import Law, Slope
+from mujoco_compiled.constraints.laws import RowGroup, Slope
+from mujoco_compiled.constraints.slot_rows import SlotRows
 from mujoco_compiled.program.arithmetic import Number, Vector, dot, scale, total
 from mujoco_compiled.program.flow import nothing, where_needed
 from mujoco_compiled.smooth.tree import Tree
-
-if TYPE_CHECKING:
-    from mujoco_compiled.constraints.slot_rows import SlotRows
-
-# How a motion of each degree of freedom that matters moves along it.
-Direction = dict[int, Number]
-
-
-@dataclass(frozen=True)
-class RowGroup:
-    """The directions have the same degrees of freedom. reference: by direction, the wanted acceleration.
-
-    may_push: in which environments the law is not 0 everywhere; True: perhaps in all.
-    """
-
-    directions: Sequence[Direction]
-    reference: Vector
-    law: Law
-    may_push: Number = True
-
-    @property
-    def size(self) -> int:
-        """The number of directions."""
-        return len(self.directions)
 
 
 @dataclass(frozen=True)
@@ -51,7 +27,7 @@ class ConstraintRows:
     tree: Tree
     axes: Sequence[Vector]
     distances: Sequence[Number]
-    slots: "SlotRows | None" = None
+    slots: SlotRows | None = None
 
 
 def times(rows: ConstraintRows, vector: Vector) -> Vector:

@@ -6,8 +6,7 @@ from itertools import islice
 
 from mujoco_compiled.collisions.shapes import AWAY, Touch
 from mujoco_compiled.constraints.body_rows import BodyGroup
-from mujoco_compiled.constraints.laws import with_stiffness
-from mujoco_compiled.constraints.rows import RowGroup
+from mujoco_compiled.constraints.laws import RowGroup, with_stiffness
 from mujoco_compiled.program.arithmetic import Number, Vector
 from mujoco_compiled.program.flow import nothing, where_needed
 

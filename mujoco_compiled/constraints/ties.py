@@ -14,9 +14,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from mujoco_compiled.constraints.contacts import moved_by
-from mujoco_compiled.constraints.laws import TwoSided
-from mujoco_compiled.constraints.rows import Direction, RowGroup
+from mujoco_compiled.constraints.laws import Direction, RowGroup, TwoSided
 from mujoco_compiled.constraints.solref import (
     SpringDamper,
     full_stiffness,
@@ -134,7 +132,7 @@ def _side(tree: Tree, end: Attachment, at: Poses, moving: Motion, qvel: Vector) 
     def at_point(motion: Vector) -> Vector:
         return add(motion[3:], cross(motion[:3], arm))
 
-    dofs = moved_by(tree, end.body)
+    dofs = tree.bodies[end.body].moved_by
     rates = [scale(moving.axis_rates[i], qvel[i]) for i in dofs]
     drift = [total(numbers) for numbers in zip(*rates, strict=True)] or [0.0] * 6
     turning, velocity = moving.velocities[end.body][:3], at_point(moving.velocities[end.body])

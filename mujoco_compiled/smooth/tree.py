@@ -39,7 +39,8 @@ class BodyConstants:
 
     position [3] in m and quaternion [4]: in the parent's frame. centre: of mass [3], in the body's frame.
     inertia: about the centre, along the body's axes: xx, yy, zz, xy, xz, yz in kg m². mass: kg. share: of the
-    whole tree's mass. gravity_compensation: the share of its weight that a force holds.
+    whole tree's mass. gravity_compensation: the share of its weight that a force holds. moved_by: degrees of
+    freedom, from the root on.
     """
 
     parent: int
@@ -52,6 +53,7 @@ class BodyConstants:
     share: Number
     gravity_compensation: float
     joints: tuple[JointConstants, ...]
+    moved_by: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,7 @@ def _body(fields: Fields, number: int, share: Number) -> BodyConstants:
         share=share,
         gravity_compensation=0.0 if is_passive_disabled(fields) else float(model.body_gravcomp[number]),
         joints=tuple(_joint(fields, joint) for joint in joints),
+        moved_by=moved_by(model, number),
     )
 
 

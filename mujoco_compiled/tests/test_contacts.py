@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from mujoco_compiled.constraints.body_rows import BodyGroup
-from mujoco_compiled.constraints.rows import RowGroup, by_group, curvature, pulled_back, times
+from mujoco_compiled.constraints.laws import RowGroup
+from mujoco_compiled.constraints.rows import by_group, curvature, pulled_back, times
 from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.fields import NOMINAL
 from mujoco_compiled.program.arithmetic import Vector

@@ -12,7 +12,7 @@ import pytest
 from core.errors import JobFailed
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
-from core.physics.model import GEOMETRY
+from mujoco_compiled import GEOMETRY
 from tests.extra import extra
 
 NUM_SUBSTEPS, NUM_STEPS = 5, 12

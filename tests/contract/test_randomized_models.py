@@ -15,7 +15,7 @@ from core.errors import JobFailed
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.engine import CONSTANTS, MODEL_FIELDS, Engine, PhysicsState
-from core.physics.model import GEOMETRY, model_field
+from mujoco_compiled import GEOMETRY, model_field
 from tests.extra import extra
 
 NUM_SUBSTEPS, NUM_STEPS = 3, 10

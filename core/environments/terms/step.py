@@ -18,7 +18,7 @@ from core.environments.terms.foot_times import FootTimes
 from core.environments.terms.readings import ContactCount, ContactForce, ContactNetForce, is_added
 from core.environments.terms.term import Array
 from core.environments.terms.terrain import Ground
-from core.physics.model import model_field
+from mujoco_compiled import model_field
 
 # A command below this norm (m/s, rad/s; m to a point) is to stand still.
 _STANDING = 0.05

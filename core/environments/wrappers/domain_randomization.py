@@ -21,8 +21,8 @@ from core.environments.patterns import matching
 from core.environments.randomization import FIELDS, FieldName, Randomization
 from core.errors import JobFailed
 from core.physics.engine import CONSTANTS, NOMINAL, ModelFields
-from core.physics.model import model_field
 from core.reasons import Reason
+from mujoco_compiled import model_field
 
 # Enough for neighbouring environments to differ; MuJoCo's constants are derived for each model.
 NUM_MODELS = 1024
