@@ -82,9 +82,11 @@ def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Ve
         guess = _unpacked(carried, start)
         direction, gradient = _newton_direction(problem, guess)
         moved, gain = _line_search(problem, guess, direction, settings, scale)
+        # A search that is cut off may end where the cost is higher: then this guess is the best and the last.
+        best = [select(gain < 0.0, x, y) for x, y in zip(guess.acceleration, moved.acceleration, strict=True)]
         steepness = sqrt(dot(gradient, gradient))
         improves = (gain * scale > settings.tolerance) & (steepness * scale > settings.tolerance)
-        return _packed(moved), improves
+        return _packed(replace(moved, acceleration=best)), improves
 
     return _unpacked(repeat(settings.iterations, iterate, _packed(start)), start).acceleration
 
@@ -103,7 +105,7 @@ def _newton_direction(problem: SolverProblem, guess: _Guess) -> tuple[Vector, Ve
 def _line_search(
     problem: SolverProblem, guess: _Guess, direction: Vector, settings: Settings, scale: float
 ) -> tuple[_Guess, Number]:
-    """The best guess along the direction, and by how much its cost is less.
+    """The best guess along the direction, and by how much its cost is less: less than 0 if it is higher.
 
     The cost along a line is convex, and quadratic between the points where a row begins or ends to push. So
     Newton's method finds where the slope is 0, kept between places where the cost falls and where it rises.
