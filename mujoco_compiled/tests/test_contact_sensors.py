@@ -8,6 +8,8 @@ import pytest
 
 from mujoco_compiled.coverage import uncovered, uncovered_fields
 from mujoco_compiled.fields import Fields
+from mujoco_compiled.program.interpret import interpret
+from mujoco_compiled.program.program import Program
 from mujoco_compiled.readings.scene import Scene
 from mujoco_compiled.readings.sensors import sensor_values
 from mujoco_compiled.substep import (
@@ -20,7 +22,7 @@ from mujoco_compiled.substep import (
     with_sensors,
 )
 from mujoco_compiled.tests.states import converge, of_all
-from mujoco_compiled.tests.test_contacts import PLANE, at_random, meeting
+from mujoco_compiled.tests.test_contacts import NUM_STATES, PLANE, at_random, meeting
 
 # Sites about a ball, a rod and a box, each larger than its geom by half the contacts' margin.
 FELT_BALL = '<geom name="left" type="sphere" size="0.2" pos="0.05 0 0"/><site name="left" size="0.36"/>'
@@ -36,6 +38,16 @@ SENSORS = """<sensor>
   <accelerometer site="left"/><framelinacc objtype="geom" objname="rod"/>
   <frameangacc objtype="body" objname="right"/>
 </sensor>"""
+# Four balls that touch the floor and each other: ten pairs, which are in a table.
+BALLS = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 1"/>
+    {bodies}
+  </worldbody>
+  <sensor>{sensors}</sensor>
+</mujoco>
+"""
 
 
 def sensing(model: mujoco.MjModel) -> Model:
@@ -69,6 +81,40 @@ def test_contacts_are_felt_as_in_mujoco(right: str, option: str, default: str) -
     assert sum(np.abs(values).any() for values in theirs) > 4
     for mine, expected in zip(values_of(ours, model, moved), theirs, strict=True):
         np.testing.assert_allclose(np.broadcast_to(mine, len(datas)), expected, rtol=1e-8, atol=1e-8)
+
+
+def balls() -> mujoco.MjModel:
+    bodies, sensors = "", ""
+    for number in range(4):
+        name = f'name="{number}"'
+        bodies += (
+            f'<body {name} pos="{0.15 * number} 0 0.1"><freejoint/>'
+            f'<geom {name} size="0.1"/><site {name} size="0.11"/></body>'
+        )
+        sensors += f'<touch site="{number}"/><contact geom1="floor" geom2="{number}" data="found"/>'
+        sensors += f'<contact geom1="{number}" data="found"/>'
+    return mujoco.MjModel.from_xml_string(BALLS.format(bodies=bodies, sensors=sensors))
+
+
+def test_contacts_in_a_table_are_felt_as_in_mujoco() -> None:
+    model, generator, datas = converge(balls(), implicit_damping=True), np.random.default_rng(0), []
+    for _ in range(NUM_STATES):
+        data = mujoco.MjData(model)
+        data.qpos[[0, 7, 14, 21]] *= generator.uniform(0.8, 1.4)
+        data.qpos[[2, 9, 16, 23]] += generator.uniform(-0.02, 0.02, size=4)
+        data.qvel[:] = generator.normal(size=model.nv)
+        mujoco.mj_forward(model, data)
+        datas.append(data)
+    ours, program = sensing(model), Program()
+    assert ours.constraints.are_in_slots
+    given = {name: of_all(datas, name) for name in ("qpos", "qvel")}
+    symbols = {name: list(program.inputs(name, len(values))) for name, values in given.items()}
+    moved = unmoved(ours, SubstepState(symbols["qpos"], symbols["qvel"], [], symbols["qvel"]), [])
+    program.output("sensordata", values_of(ours, model, moved))
+    theirs = of_all(datas, "sensordata")
+    assert all(np.any(values > 0.0) and np.any(values == 0.0) for values in theirs)
+    for mine, expected in zip(interpret(program, given)["sensordata"], theirs, strict=True):
+        np.testing.assert_allclose(mine, expected, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize(
