@@ -5,8 +5,10 @@ from collections.abc import Callable, Iterator, Sequence
 import mujoco
 import numpy as np
 
+from mujoco_compiled.collisions.fields import MOST_CELLS, MOST_HEIGHTS, read_field
 from mujoco_compiled.collisions.hulls import read_hull
 from mujoco_compiled.collisions.own_boxes import fixed_boxes
+from mujoco_compiled.collisions.prisms import ON_FIELDS
 from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.constraints.contact_slots import MOST_SLOTS
 from mujoco_compiled.constraints.pairs import Pair, meshes_left_out, read_pairs
@@ -281,9 +283,12 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
         one, other = (named(model, "geom", number) for number in both)
         names = f"its geoms {one} and {other} can touch"
         kinds = [int(kind) for kind in model.geom_type[both]]
-        if (kinds[0], kinds[1]) not in COLLIDERS:
+        is_on_field = kinds[0] == mujoco.mjtGeom.mjGEOM_HFIELD and kinds[1] in ON_FIELDS
+        if not is_on_field and (kinds[0], kinds[1]) not in COLLIDERS:
             first, second = (word(mujoco.mjtGeom(kind).name) for kind in kinds)
             yield f"{names}: {_with_article(first)} and {_with_article(second)}"
+        elif is_on_field and (reason := _of_large_field(model, pair)):
+            yield f"{names}: {reason}"
         elif not is_computable(pair.parameters.spring.impedance.power):
             yield f"{names}: its contact {_CURVE}"
         elif _is_thin_pyramid(model, pair):
@@ -294,6 +299,18 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
             yield f"{names} with adhesion or a moving surface"
     for place in np.flatnonzero(model.pair_adhesion)[:1]:
         yield f"its pair {named(model, 'pair', int(place))} has adhesion"
+
+
+def _of_large_field(model: mujoco.MjModel, pair: Pair) -> str | None:
+    """Why a height field is too fine for a geom, or too large."""
+    if (field := read_field(model, pair.one)) is None:
+        return None
+    if len(field.heights) > MOST_HEIGHTS:
+        return f"the height field has {len(field.heights):,} heights, more than {MOST_HEIGHTS:,}"
+    along, across = field.window(float(model.geom_rbound[pair.other]))
+    if along * across > MOST_CELLS:
+        return f"the geom can be over {along * across:,} cells of the height field, more than {MOST_CELLS}"
+    return None
 
 
 def _is_thin_pyramid(model: mujoco.MjModel, pair: Pair) -> bool:

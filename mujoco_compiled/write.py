@@ -53,7 +53,8 @@ def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
     model = read_model(plan.model)
     # More points than these would be too long to write out, and a fold has no tables.
     constraints = model.constraints
-    is_short = constraints.num_points <= _MOST_POINTS_IN_LANES and not constraints.are_of_meshes
+    has_tables = constraints.are_of_meshes or constraints.are_of_fields
+    is_short = constraints.num_points <= _MOST_POINTS_IN_LANES and not has_tables
     for limbs in ways_to_share(plan.model) if is_short else ():
         try:
             alike = alike_inputs(model, limbs, plan.own)

@@ -62,12 +62,10 @@ def results(step: Step) -> list[int]:
 def uses(step: Step) -> Sequence[int]:
     """The variables that must be known before it."""
     match step:
-        case Assign():
+        case Assign() | Read():
             return step.uses
         case Write():
             return [step.variable]
-        case Read():
-            return step.place.variables
         case Store():
             value = [step.value] if isinstance(step.value, int) else step.value.variables
             return [*step.place.variables, *value]

@@ -209,6 +209,9 @@ class Writer:
                 self.line(f"{target} = call {number} @llvm.fabs.{suffix}({number} {names[0]})")
             case "sin" | "cos":
                 self._turn(target, operation, names[0])
+            case "truncate":
+                whole = self.value(f"fptosi {number} {names[0]} to {self.target.integer}")
+                self.line(f"{target} = sitofp {self.target.integer} {whole} to {number}")
             case _:
                 self.line(f"{target} = {_INSTRUCTIONS[operation]} {number} {', '.join(names)}")
 
@@ -362,6 +365,8 @@ class Writer:
                 pointer = self._pointer(target.number, target.own, "%numbers", place)
                 kind = f"{target.number}, {target.own}"
                 self.line(f"{name} = load {kind} {pointer}, align {4 * target.width}")
+            case "constants" if read.index is not None:
+                self._look_up(name, place, self.operand(read.index))
             case "constants":
                 pointer = self._pointer("float", shared, "@table_constants", place)
                 load = f"load float, {shared} {pointer}, align 4, !invariant.load !0"
@@ -377,6 +382,22 @@ class Writer:
                 pointer = self._pointer("i32", shared, "@table_integers", place)
                 number = self.value(f"load i32, {shared} {pointer}, align 4, !invariant.load !0")
                 self.line(f"{name} = sext i32 {number} to i64")
+
+    def _look_up(self, name: str, place: str, index: str) -> None:
+        """Each environment's constant: that at a place, or as much later as the index's whole part is."""
+        target, shared, width = self.target, self.target.shared, self.target.width
+        whole = self.value(f"fptosi {target.number} {index} to {target.integer}")
+        begin = self._pointer("float", shared, "@table_constants", place)
+        lanes = self.value(f"sext {target.integer} {whole} to {target.of('i64')}")
+        pointer = self.value(f"getelementptr inbounds float, {shared} {begin}, {target.of('i64')} {lanes}")
+        if width == 1:
+            self.line(f"{name} = load float, {shared} {pointer}, align 4, !invariant.load !0")
+            return
+        every = f"{target.truth} {target.splat('i1', 'true')}, {target.number} zeroinitializer"
+        self.line(
+            f"{name} = call {target.number} @llvm.masked.gather.v{width}f32.v{width}p0("
+            f"<{width} x ptr> {pointer}, i32 4, {every})"
+        )
 
     def _spread(self, name: str, number: str) -> None:
         """One number, as that of all environments."""

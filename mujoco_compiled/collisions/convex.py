@@ -18,7 +18,7 @@ Sources: Gilbert, Johnson and Keerthi (1988) for the search; the climb majorises
 from functools import reduce
 
 from mujoco_compiled.collisions.shapes import Touch
-from mujoco_compiled.collisions.supports import Convex, unit_or
+from mujoco_compiled.collisions.supports import Body, unit_or
 from mujoco_compiled.program.arithmetic import (
     Number,
     Vector,
@@ -43,10 +43,10 @@ _SMALLEST_MOVE = 1e-11
 _SMALLEST, _LOWEST = 1e-15, -1e9
 
 
-def convex_touch(one: Convex, other: Convex) -> Touch:
+def convex_touch(one: Body, other: Body) -> Touch:
     """The point midway between both surfaces, where the gap is largest."""
-    clearance = _CLEARANCE * minimum(*(reduce(maximum, convex.geom.size) for convex in (one, other)))
-    centre = [*subtract(one.geom.position, other.geom.position), *one.geom.position]
+    clearance = _CLEARANCE * minimum(*(reduce(maximum, body.size) for body in (one, other)))
+    centre = [*subtract(one.position, other.position), *one.position]
 
     def improve(carried: list[Number]) -> tuple[list[Number], Number]:
         ahead, best, gap, *points = carried[:3], carried[3:6], carried[6], *_parted(carried[7:25], 6)
@@ -69,9 +69,9 @@ def convex_touch(one: Convex, other: Convex) -> Touch:
     return Touch(add(on_one, scale(normal, one.radius + 0.5 * distance)), distance, normal)
 
 
-def _best_start(one: Convex, other: Convex) -> Vector:
+def _best_start(one: Body, other: Body) -> Vector:
     """Of the way between the centres and the geoms' own directions: the one with the largest gap."""
-    way = subtract(other.geom.position, one.geom.position)
+    way = subtract(other.position, one.position)
     directions = [unit_or(way, [0.0, 0.0, 1.0]), *one.normals(way), *other.normals(way)]
 
     def look(carried: list[Number]) -> tuple[list[Number], Number]:
@@ -88,7 +88,7 @@ def _best_start(one: Convex, other: Convex) -> Vector:
     return repeat(len(directions), look, begun)[:3]
 
 
-def _farthest(one: Convex, other: Convex, direction: Vector) -> Vector:
+def _farthest(one: Body, other: Body, direction: Vector) -> Vector:
     """The difference [3] that is farthest in a direction, and the first geom's point [3] that it is of."""
     on_one = one.support(direction)
     return [*subtract(on_one, other.support(scale(direction, -1.0))), *on_one]

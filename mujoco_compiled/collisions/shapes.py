@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from mujoco_compiled.collisions.fields import HeightField
 from mujoco_compiled.collisions.hulls import Hull
 from mujoco_compiled.collisions.own_boxes import OwnBoxes, fixed_boxes, own_boxes, own_numbers
 from mujoco_compiled.fields import Fields
@@ -30,8 +31,8 @@ AWAY = 1e3
 class Geom:
     """number: MuJoCo's. body: 0 if it never moves. position [3] in m, rotation [3][3]: in the body's frame.
 
-    size: MuJoCo's `geom_size` in m. bound: the radius of a sphere about it in m, 0 for a plane. hull: that
-    of a mesh that can touch.
+    size: MuJoCo's `geom_size` in m. bound: the radius of a sphere about it in m, 0 for a plane. hull,
+    field: those of a mesh and of a height field that can touch.
     """
 
     number: int
@@ -42,6 +43,7 @@ class Geom:
     size: Vector
     bound: Number
     hull: Hull | None = None
+    field: HeightField | None = None
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ class Placed:
     to_body: Matrix
     size: Vector
     hull: Hull | None = None
+    field: HeightField | None = None
 
     @property
     def axis(self) -> Vector:
@@ -98,7 +101,7 @@ def placed(geom: Geom, at: Poses) -> Placed:
     """The geom in this state."""
     to_world = at.rotations[geom.body]
     position = add(at.positions[geom.body], rotate(to_world, geom.position))
-    return Placed(position, to_world, geom.rotation, geom.size, geom.hull)
+    return Placed(position, to_world, geom.rotation, geom.size, geom.hull, geom.field)
 
 
 def _geom(model: mujoco.MjModel, number: int, at_rest: mujoco.MjData) -> Geom:

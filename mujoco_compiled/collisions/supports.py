@@ -6,6 +6,7 @@ along a line. The general routine sees cores alone, as flat and sharp things tak
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import mujoco
 
@@ -33,6 +34,31 @@ SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = (
 _SMALLEST = 1e-15
 
 
+class Body(Protocol):
+    """What the general routine sees.
+
+    position: [3] in m, a point inside. size: [3] in m, about how large it is. radius: of the ball that is
+    swept over the core, in m.
+    """
+
+    @property
+    def position(self) -> Vector: ...
+
+    @property
+    def size(self) -> Vector: ...
+
+    @property
+    def radius(self) -> Number: ...
+
+    def support(self, direction: Vector) -> Vector:
+        """The core's point [3] that is farthest in a direction [3] of any length but 0."""
+        ...
+
+    def normals(self, way: Vector) -> list[Vector]:
+        """Directions [3] of which one is likely to be near a contact's normal. way: to the other's centre."""
+        ...
+
+
 @dataclass(frozen=True)
 class Convex:
     """A geom where it is. to_world: its axes in the world, as columns."""
@@ -42,19 +68,24 @@ class Convex:
     to_world: Matrix
 
     @property
+    def position(self) -> Vector:
+        return self.geom.position
+
+    @property
+    def size(self) -> Vector:
+        return self.geom.size
+
+    @property
     def radius(self) -> Number:
-        """Of the ball that is swept over the core, in m."""
         return self.geom.size[0] if self.kind in (SPHERE, CAPSULE) else 0.0
 
     def support(self, direction: Vector) -> Vector:
-        """The core's point [3] that is farthest in a direction [3] of any length but 0."""
         if self.kind == SPHERE:
             return self.geom.position
         local = rotate(transpose(self.to_world), direction)
         return add(self.geom.position, rotate(self.to_world, _SUPPORTS[self.kind](self.geom, local)))
 
     def normals(self, way: Vector) -> list[Vector]:
-        """Directions [3] of which one is likely to be near a contact's normal. way: to the other's centre."""
         axes = transpose(self.to_world)
         found = {SPHERE: [], CAPSULE: [], CYLINDER: axes[2:]}.get(self.kind, axes)
         if self.kind in (CAPSULE, CYLINDER):

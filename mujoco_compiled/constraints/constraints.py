@@ -62,12 +62,17 @@ class Constraints:
     @property
     def are_in_slots(self) -> bool:
         """Whether a program has the contacts in slots."""
-        return len(self.contacts) > FEW_CONTACTS and not self.are_written_out
+        return (len(self.contacts) > FEW_CONTACTS or self.are_of_fields) and not self.are_written_out
 
     @property
     def are_of_meshes(self) -> bool:
         """Whether some contacts are, whose hulls are tables of the program."""
         return any(geom.hull for contact in self.contacts for geom in (contact.one, contact.other))
+
+    @property
+    def are_of_fields(self) -> bool:
+        """Whether some contacts are with height fields, which a program has as tables."""
+        return any(contact.one.field for contact in self.contacts)
 
     @property
     def num_points(self) -> int:

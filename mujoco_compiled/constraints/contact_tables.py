@@ -4,8 +4,8 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from mujoco_compiled.collisions.hulls import Hull
-from mujoco_compiled.collisions.shapes import Placed, Touch
+from mujoco_compiled.collisions.prisms import Window
+from mujoco_compiled.collisions.shapes import Geom, Placed, Touch
 from mujoco_compiled.collisions.table import COLLIDERS
 from mujoco_compiled.constraints.contact_slots import Slot, SlotKind
 from mujoco_compiled.constraints.contacts import ContactPair, Side, are_close, push
@@ -77,9 +77,16 @@ class ContactTables:
         for_each(self._program, loop.close.length(), touch)
 
     def _touch(self, loop: "_Loop", row: Place) -> None:
-        collide, _ = COLLIDERS[loop.first.kinds]
         contact = loop.contact(row)
-        for touch in collide(*(geom(row) for geom in loop.geoms)):
+        one, other = (geom(row) for geom in loop.geoms)
+        if loop.window is not None:
+            reach = contact.parameters.reach
+            loop.window.each_touch(
+                loop.first.other.kind, one, other, reach, lambda touch: self._put(loop, row, contact, touch)
+            )
+            return
+        collide, _ = COLLIDERS[loop.first.kinds]
+        for touch in collide(one, other):
             self._put(loop, row, contact, touch)
 
     def _put(self, loop: "_Loop", row: Place, contact: ContactPair, touch: Touch) -> None:
@@ -127,10 +134,10 @@ class _GeomTable:
             self._frames.store(body, [*at.positions[body], *_flat(at.rotations[body])])
         for_each(self._program, len(self._geoms), lambda row, _: self._place(row))
 
-    def placed(self, row: Place, hull: Hull | None = None) -> Placed:
-        """hull: a mesh's, which rows that one loop looks at share."""
+    def placed(self, row: Place, like: Geom) -> Placed:
+        """like: a geom whose hull and height field the rows of one loop share."""
         frame, size = self._placed.row(row), [column.at(row) for column in self._sizes]
-        return Placed(frame[:3], _square(frame[3:]), _UNTURNED, size, hull)
+        return Placed(frame[:3], _square(frame[3:]), _UNTURNED, size, like.hull, like.field)
 
     def _place(self, row: Place) -> Vector:
         frame, local = self._frames.row(self._body.at(row)), [column.at(row) for column in self._local]
@@ -161,11 +168,12 @@ class _Loop:
             name: column(kind.program, f"{kind.name} {number} {name}", [read(one) for one in contacts])
             for name, read in _COLUMNS.items()
         }
-        hulls = self.first.one.hull, self.first.other.hull
         self.geoms = [
-            lambda row, own=own, hull=hull: geoms.placed(own.at(row), hull)
-            for own, hull in zip(self._rows, hulls, strict=True)
+            lambda row, own=own, like=like: geoms.placed(own.at(row), like)
+            for own, like in zip(self._rows, (self.first.one, self.first.other), strict=True)
         ]
+        size = self.first.window
+        self.window = size and Window(kind.program, f"{kind.name} {number}", size)
 
     def contact(self, row: Place) -> ContactPair:
         """The contact with the numbers of a row."""
@@ -210,7 +218,8 @@ def _looks_of_slots(contact: ContactPair) -> Hashable:
 def _looks_of_loops(contact: ContactPair) -> Hashable:
     """Alike for contacts whose points one routine finds."""
     meshes = [geom.hull and geom.hull.mesh for geom in (contact.one, contact.other)]
-    return contact.kinds, contact.parameters.spring.impedance, *meshes
+    field = contact.one.field and contact.one.field.number
+    return contact.kinds, contact.parameters.spring.impedance, *meshes, field, contact.window
 
 
 def _alike(

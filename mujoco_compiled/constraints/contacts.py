@@ -11,7 +11,9 @@ from operator import and_
 
 import mujoco
 
+from mujoco_compiled.collisions.fields import read_field
 from mujoco_compiled.collisions.hulls import read_hull
+from mujoco_compiled.collisions.prisms import num_field_points
 from mujoco_compiled.collisions.shapes import Geom, Placed, Touch, placed, read_geoms
 from mujoco_compiled.collisions.table import CHEAP, COLLIDERS
 from mujoco_compiled.constraints.body_rows import BodyGroup
@@ -75,7 +77,13 @@ class ContactPair:
     @property
     def num_points(self) -> int:
         """Where it may push at once."""
-        return COLLIDERS[self.kinds][1]
+        window = self.window
+        return COLLIDERS[self.kinds][1] if window is None else num_field_points(window)
+
+    @property
+    def window(self) -> tuple[int, int] | None:
+        """Over how many cells of a height field the other geom may be; see `HeightField`."""
+        return self.one.field and self.one.field.window(self.other.bound)
 
 
 @dataclass(frozen=True)
@@ -114,7 +122,8 @@ def read_contacts(fields: Fields) -> tuple[ContactPair, ...]:
     geoms, pairs = list(read_geoms(fields)), read_pairs(fields)
     moves = [bool(geoms[pair.one].body or geoms[pair.other].body) for pair in pairs]
     for number in {number for pair in compress(pairs, moves) for number in (pair.one, pair.other)}:
-        geoms[number] = replace(geoms[number], hull=read_hull(model, number))
+        hull, field = read_hull(model, number), read_field(model, number)
+        geoms[number] = replace(geoms[number], hull=hull, field=field)
     return tuple(
         ContactPair(
             one=geoms[pair.one],
@@ -175,10 +184,22 @@ def are_close(contact: ContactPair, one: Placed, other: Placed) -> Number:
     kind, kind_other = contact.kinds
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
         return -dot(one.axis, way) < near + contact.other.bound
+    if one.field is not None:
+        return _is_over(one, other, contact.other.bound + maximum(0.0, contact.parameters.reach))
     if kind_other == mujoco.mjtGeom.mjGEOM_BOX:
         sides = zip(other.inward(way), other.size, strict=True)
         return reduce(and_, (absolute(x) < size + near for x, size in sides))
     return dot(way, way) < squared(near + contact.other.bound)
+
+
+def _is_over(field: Placed, geom: Placed, near: Number) -> Number:
+    """Whether a geom is nearer than this to the box about a height field."""
+    assert field.field is not None  # noqa: S101
+    *across, up = field.inward(subtract(geom.position, field.position))
+    is_over = (up < field.field.top + near) & (-field.field.base - near < up)
+    return reduce(
+        and_, (absolute(x) < h + near for x, h in zip(across, field.field.half, strict=True)), is_over
+    )
 
 
 def push(contact: ContactPair, touch: Touch, sides: Sequence[tuple[Side, Vector]]) -> Push:

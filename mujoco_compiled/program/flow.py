@@ -81,7 +81,7 @@ def _kept(statements: Sequence[Statement], wanted: set[int]) -> list[Statement]:
             case Assign():
                 wanted.update(one.uses)
             case Read():
-                wanted.update(one.place.variables)
+                wanted.update(one.uses)
             case Store():
                 wanted.update(one.place.variables)
                 wanted.update([one.value] if isinstance(one.value, int) else one.value.variables)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ _FUNCTIONS: Mapping[Operation, Callable[..., NDArray[Any]]] = {
     "sin": np.sin,
     "cos": np.cos,
     "absolute": np.abs,
+    "truncate": np.trunc,
     "minimum": np.minimum,
     "maximum": np.maximum,
     "less": np.less,
@@ -169,7 +171,7 @@ class _Interpreter:
             case "numbers":
                 self.values[read.target] = self.numbers[place]
             case "constants":
-                self.values[read.target] = np.asarray(self.memory.constants[place], self.dtype)
+                self.values[read.target] = self._constant(place, read.index)
             case "counts":
                 number = self._bounded(self.counts[place], read.bound)
                 if read.is_number:
@@ -178,6 +180,15 @@ class _Interpreter:
                     self.integers[read.target] = number
             case "integers":
                 self.integers[read.target] = self.memory.integers[place]
+
+    def _constant(self, place: int, index: int | None) -> NDArray[Any]:
+        if index is None:
+            return np.asarray(self.memory.constants[place], self.dtype)
+        return self._constants[place + self.values[index].astype(int)]
+
+    @cached_property
+    def _constants(self) -> NDArray[Any]:
+        return np.asarray(self.memory.constants, self.dtype)
 
     def _store(self, store: Store) -> None:
         place = self._integer(store.place)

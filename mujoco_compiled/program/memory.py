@@ -9,7 +9,7 @@ nothing, as a contact without stiffness does.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from mujoco_compiled.program.arithmetic import Number, Vector, total
+from mujoco_compiled.program.arithmetic import Number, Vector, clip, total
 from mujoco_compiled.program.program import Bound, Each, Place, Program, Read, Space, Store, Symbol, Together
 
 Index = Place | int
@@ -62,6 +62,16 @@ class Column:
                 return _number(self.program, "constants", _placed(row) + self.values)
             case _:
                 return self.values
+
+    def looked_up(self, index: Number, most: int) -> Number:
+        """The number in the row that is the whole part of an index, each environment's own, from 0 to `most`;
+        that of the nearest row beyond these."""
+        assert not isinstance(self.values, Array)  # noqa: S101
+        if not isinstance(self.values, int):
+            return self.values
+        bounded = self.program.variable(clip(index, 0.0, float(most)))
+        read = Read(0, "constants", Place(self.values), index=bounded)
+        return Symbol(self.program, _read(self.program, read))
 
 
 @dataclass(frozen=True)

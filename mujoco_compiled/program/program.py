@@ -17,7 +17,7 @@ from typing import Literal, cast
 Operation = Literal[
     "input", "constant", "limb_constant", "lane_input", "lane_constant", "lane_sum",
     "add", "subtract", "multiply", "divide", "negate",
-    "sqrt", "sin", "cos", "absolute", "minimum", "maximum",
+    "sqrt", "sin", "cos", "absolute", "truncate", "minimum", "maximum",
     "less", "and", "not", "select",
 ]  # fmt: skip
 
@@ -95,13 +95,22 @@ class Place:
 
 @dataclass(frozen=True)
 class Read:
-    """Variable `target` is what lies at a place. is_number: whether an integer becomes a number."""
+    """Variable `target` is what lies at a place. is_number: whether an integer becomes a number.
+
+    index: a variable whose whole part each environment adds to the place, for itself; of `constants` alone.
+    """
 
     target: int
     space: Space
     place: Place
     bound: Bound | None = None
     is_number: bool = False
+    index: int | None = None
+
+    @property
+    def uses(self) -> list[int]:
+        """The variables that it needs."""
+        return [*self.place.variables, *([] if self.index is None else [self.index])]
 
     @property
     def is_integer(self) -> bool:
