@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from mujoco_compiled.model import Model, put_model
     from mujoco_compiled.readings.derived import DERIVED_FIELDS
     from mujoco_compiled.readings.sensor_coverage import unread_sensors
+    from mujoco_compiled.smooth.delays import ordered_history
 
 _WHERE = {
     "code.host_call": ("host_call",),
@@ -31,6 +32,7 @@ _WHERE = {
     "model": ("Model", "put_model"),
     "readings.derived": ("DERIVED_FIELDS",),
     "readings.sensor_coverage": ("unread_sensors",),
+    "smooth.delays": ("ordered_history",),
 }
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 __all__ = [
@@ -47,6 +49,7 @@ __all__ = [
     "make_data",
     "meshes_left_out",
     "model_field",
+    "ordered_history",
     "pairs_of_geoms",
     "put_data",
     "put_model",

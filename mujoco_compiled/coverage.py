@@ -263,7 +263,6 @@ def _actuators(model: mujoco.MjModel) -> Iterator[str]:
     yield from where(model, "actuator", in_parent, "acts on a joint with several axes, in its parent's frame")
     by_length = (model.actuator_gainprm[:, 1] != 0) | (model.actuator_biasprm[:, 1] != 0)
     yield from where(model, "actuator", turns & by_length, "holds a joint with several axes in a position")
-    yield from where(model, "actuator", model.actuator_delay > 0, "acts with a delay")
     for field in ("armature", "damping", "dampingpoly"):
         values = np.reshape(getattr(model, f"actuator_{field}"), (model.nactuator, -1))
         yield from where(model, "actuator", values.any(axis=1), f"has `{field}` of its own")

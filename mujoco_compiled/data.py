@@ -10,8 +10,8 @@ import mujoco
 
 from mujoco_compiled.coverage import Uncovered
 from mujoco_compiled.model import Model
+from mujoco_compiled.smooth.delays import is_of_last_steps, ordered_history
 
-_INPUTS = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart", "time")
 _register = partial(jax.tree_util.register_dataclass, meta_fields=[])
 
 
@@ -19,7 +19,8 @@ _register = partial(jax.tree_util.register_dataclass, meta_fields=[])
 class Data:
     """The state of one environment; under `jax.vmap`, each field has axes in front. float32, MuJoCo's shapes.
 
-    qpos: [nq], qvel: [nv], act: [na], ctrl: [nu], qacc_warmstart: [nv], time: [] in seconds.
+    qpos: [nq], qvel: [nv], act: [na], ctrl: [nu], qacc_warmstart: [nv], time: [] in seconds. history:
+    [nhistory], with an actuator's controls in the order of their times; None if none acts late.
     The others are derived: those that `put_model` was asked for, and None. They describe the state that is
     returned (position and velocity stages are computed again after the last substep), except `qfrc_actuator`
     and sensors of forces and accelerations: those are the last substep's.
@@ -31,6 +32,7 @@ class Data:
     ctrl: jax.Array
     qacc_warmstart: jax.Array
     time: jax.Array
+    history: jax.Array | None = None
     cinert: jax.Array | None = None
     cvel: jax.Array | None = None
     geom_xpos: jax.Array | None = None
@@ -59,17 +61,24 @@ def make_data(m: Model) -> Data:
 def put_data(m: Model, d: mujoco.MjData) -> Data:
     """The state that an `mjData` has, with its derived fields as they are.
 
-    Raises Uncovered if a mocap body is not where the model has it.
+    Raises Uncovered if a mocap body is not where the model has it, or the controls for an actuator that acts
+    late are not those of the last time steps.
     """
-    moved = mujoco.MjData(m.moves.model)
+    model = m.moves.model
+    moved = mujoco.MjData(model)
     if any((getattr(d, name) != getattr(moved, name)).any() for name in ("mocap_pos", "mocap_quat")):
         raise Uncovered("a mocap body is not where the model has it")
-    return Data(**{name: jnp.asarray(getattr(d, name), jnp.float32) for name in m.moves.shapes})
+    values = {name: getattr(d, name) for name in m.moves.shapes}
+    if "history" in values:
+        if not is_of_last_steps(model, d):
+            raise Uncovered("the controls in `history` are not those of the last time steps")
+        values["history"] = ordered_history(model, d.history)
+    return Data(**{name: jnp.asarray(value, jnp.float32) for name, value in values.items()})
 
 
 def forward(m: Model, d: Data) -> Data:
     """The state with its derived fields computed; it does not move."""
-    return d.replace(**m.moves.moved("forward", _inputs(d), m.own)) if m.moves.derived else d
+    return d.replace(**m.moves.moved("forward", _inputs(m, d), m.own)) if m.moves.derived else d
 
 
 def step(m: Model, d: Data) -> Data:
@@ -80,8 +89,8 @@ def step(m: Model, d: Data) -> Data:
     every environment has the same result every time, and beside any others.
     """
     duration = jnp.float32(m.moves.nstep * m.moves.model.opt.timestep)
-    return d.replace(**m.moves.moved("step", _inputs(d), m.own), time=d.time + duration)
+    return d.replace(**m.moves.moved("step", _inputs(m, d), m.own), time=d.time + duration)
 
 
-def _inputs(d: Data) -> dict[str, jax.Array]:
-    return {name: getattr(d, name) for name in _INPUTS}
+def _inputs(m: Model, d: Data) -> dict[str, jax.Array]:
+    return {name: getattr(d, name) for name in (*m.moves.carried, "ctrl", "time")}

@@ -15,11 +15,12 @@ import numpy as np
 from mujoco_compiled.code.function_source import FunctionSource
 from mujoco_compiled.coverage import Uncovered, uncovered, uncovered_own
 from mujoco_compiled.fields import MODEL_FIELDS, model_field
+from mujoco_compiled.smooth.delays import control_places
 from mujoco_compiled.write import Plan, control_step_in_lanes, control_step_program, derived_program
 
 Move = Literal["forward", "step"]
 _Call = Callable[..., tuple[jax.Array, ...]]
-CARRIED = ("qpos", "qvel", "act", "qacc_warmstart")
+_CARRIED = ("qpos", "qvel", "act", "qacc_warmstart")
 # Derived fields that may depend on activations and controls.
 _OF_FORCES = {"qfrc_actuator", "sensordata"}
 
@@ -35,7 +36,9 @@ class Moves:
         self.model, self.nstep, self.derived = model, nstep, tuple(derived)
         self._described = f"{_fingerprint(model)} {nstep} {self.derived}"
         blank = mujoco.MjData(model)
-        names = (*CARRIED, "time", "ctrl", *derived)
+        # What a step reads and changes.
+        self.carried = (*_CARRIED, *(("history",) if control_places(model) else ()))
+        names = (*self.carried, "time", "ctrl", *derived)
         self.shapes = {name: np.shape(getattr(blank, name)) for name in names}
         self._calls: dict[tuple[Move, tuple[str, ...]], tuple[FunctionSource, _Call]] = {}
         self._own = set[tuple[str, ...]]()
@@ -57,13 +60,13 @@ class Moves:
     ) -> dict[str, jax.Array]:
         """The fields of one environment after the move, in MuJoCo's shapes.
 
-        state: qpos, qvel, act, qacc_warmstart, time and ctrl. own: its own fields of the model.
+        state: those that are carried, time and ctrl. own: its own fields of the model.
         """
         source, call = self._call(move, tuple(name for name, values in sorted(own.items()) if values.size))
         fields = {**state, **own}
         values = call(*(jnp.ravel(jnp.asarray(fields[name], jnp.float32)) for name in source.inputs))
         found = dict(zip(source.outputs, values, strict=True))
-        wanted = (*(CARRIED if move == "step" else ()), *self.derived)
+        wanted = (*(self.carried if move == "step" else ()), *self.derived)
         return {
             name: found[name].reshape(self.shapes[name]) if name in found else jnp.zeros(self.shapes[name])
             for name in wanted
@@ -77,13 +80,12 @@ class Moves:
         return self._calls[move, own]
 
     def _source(self, move: Move, own: tuple[str, ...]) -> FunctionSource:
-        read = (*CARRIED, "ctrl") if move == "step" else ("qpos", "qvel")
-        if move == "forward" and not _OF_FORCES.isdisjoint(self.derived):
-            read = (*read, "act", "qacc_warmstart", "ctrl")
+        needs_all = move == "step" or not _OF_FORCES.isdisjoint(self.derived)
+        read = (*self.carried, "ctrl") if needs_all else ("qpos", "qvel")
         reads_time = "sensordata" in self.derived
         own_sizes = {name: np.size(model_field(self.model, name)) for name in own}
         inputs = self._sizes((*read, "time") if reads_time else read) | own_sizes
-        written = self._sizes((*(CARRIED if move == "step" else ()), *self.derived))
+        written = self._sizes((*(self.carried if move == "step" else ()), *self.derived))
         plan = Plan(self.model, inputs, own, self.derived)
         described = f"{move} {self._described} {own}"
         if move == "forward":

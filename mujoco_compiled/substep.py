@@ -4,7 +4,7 @@ Source: MuJoCo's documentation, Computation, "Simulation pipeline" and "Numerica
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import mujoco
@@ -87,12 +87,16 @@ class Model:
 
 @dataclass(frozen=True)
 class SubstepState:
-    """The state before a substep. qpos: [nq]. qvel: [nv]. act: [na]. qacc: [nv], the last substep's."""
+    """The state before a substep. qpos: [nq]. qvel: [nv]. act: [na]. qacc: [nv], the last substep's.
+
+    history: of controls, for actuators that act late; see `smooth.delays`.
+    """
 
     qpos: Vector
     qvel: Vector
     act: Vector
     qacc: Vector
+    history: Vector = field(default_factory=list[Number], kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -134,16 +138,18 @@ def control_step(
     reads_forces: whether `qfrc_actuator` is wanted; it is empty otherwise.
     """
     blank: Vector = [0.0] * len(state.qvel) if reads_forces else []
-    sizes = [len(part) for part in (state.qpos, state.qvel, state.act, state.qacc, blank)]
+    sizes = [len(part) for part in (state.history, state.qpos, state.qvel, state.act, state.qacc, blank)]
 
     def body(carried: list[Number]) -> tuple[list[Number], Number]:
-        moved = substep(model, SubstepState(*_parted(carried, sizes)[:4]), ctrl)
+        history, *parts = _parted(carried, sizes)
+        moved = substep(model, SubstepState(*parts[:4], history=history), ctrl)
         kept = moved if reads_forces else replace(moved, qfrc_actuator=[])
         return _joined(kept), True
 
     unread: Vector = [0.0] * model.num_readings
-    begun = Moved(state.qpos, state.qvel, state.act, state.qacc, blank, unread)
-    return Moved(*_parted(repeat(num_substeps, body, _joined(begun)), sizes))
+    begun = Moved(state.qpos, state.qvel, state.act, state.qacc, blank, unread, history=state.history)
+    history, *ended = _parted(repeat(num_substeps, body, _joined(begun)), sizes)
+    return Moved(*ended, history=history)
 
 
 def substep(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
@@ -152,7 +158,8 @@ def substep(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
     found = acceleration(problem, state.qacc if model.warm_start else problem.free, model.solver)
     qvel = add(state.qvel, scale(_integrated(model, problem, found, now), model.timestep))
     qpos = integrated(model.tree, state.qpos, qvel, model.timestep)
-    return Moved(qpos, qvel, now.done.act, found, now.done.on_dofs, _readings(model, problem, now, found))
+    readings, done = _readings(model, problem, now, found), now.done
+    return Moved(qpos, qvel, done.act, found, done.on_dofs, readings, history=done.history)
 
 
 def unmoved(model: Model, state: SubstepState, ctrl: Vector) -> Moved:
@@ -246,7 +253,7 @@ def _posture(model: Model, qpos: Vector, qvel: Vector, loops: TreeLoops | None) 
 def _driven(model: Model, state: SubstepState, ctrl: Vector, posture: Posture, held: Vector) -> Driven:
     """What the actuators do."""
     along = [actuator_stretch(actuator.path, posture) for actuator in model.actuators]
-    own = ActuatorState(along, state.qvel, state.act, ctrl, held)
+    own = ActuatorState(along, state.qvel, state.act, ctrl, held, state.history)
     return driven(model.tree, model.actuators, own, model.timestep)
 
 
@@ -289,7 +296,8 @@ def _integrated(model: Model, problem: SolverProblem, found: Vector, now: Instan
 
 
 def _joined(moved: Moved) -> list[Number]:
-    return [*moved.qpos, *moved.qvel, *moved.act, *moved.qacc, *moved.qfrc_actuator, *moved.readings]
+    state = [*moved.history, *moved.qpos, *moved.qvel, *moved.act, *moved.qacc]
+    return [*state, *moved.qfrc_actuator, *moved.readings]
 
 
 def _parted(values: list[Number], sizes: list[int]) -> list[Vector]:

@@ -18,6 +18,7 @@ from mujoco_compiled.program.memory import overflow
 from mujoco_compiled.program.program import Program, Symbol
 from mujoco_compiled.readings.derived import derived
 from mujoco_compiled.readings.scene import NO_READINGS, Scene
+from mujoco_compiled.smooth.delays import control_places, time_places
 from mujoco_compiled.substep import (
     Model,
     Moved,
@@ -39,8 +40,8 @@ _MOST_POINTS_IN_LANES = 64
 
 @dataclass(frozen=True)
 class Plan:
-    """inputs: the sizes of qpos, qvel, act, qacc_warmstart, time and ctrl, as far as the program reads them,
-    and of the model's fields that differ between environments, own. derived: the fields to compute."""
+    """inputs: the sizes of a state's fields and of ctrl, as far as the program reads them, and of the model's
+    fields that differ between environments, own. derived: the fields to compute."""
 
     model: mujoco.MjModel
     inputs: Mapping[str, int]
@@ -65,17 +66,18 @@ def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
 
 
 def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = None) -> Program:
-    """From an environment's state and control to qpos, qvel, act, qacc_warmstart and the derived fields.
+    """From an environment's state and control to its state after it and the derived fields.
 
     An environment in which a number is past the bound beyond which MuJoCo calls a state unstable, before or
     after, becomes NaN. limbs: those in whose numbers the program is to be the same.
     """
     program, symbols, model = _begun(plan, limbs)
-    ctrl, state = symbols["ctrl"], _state(symbols)
+    ctrl, state = symbols["ctrl"], _state(plan, symbols)
     moved = control_step(model, num_substeps, state, ctrl, reads_forces=_OF_FORCES in plan.derived)
     after = {"qpos": moved.qpos, "qvel": moved.qvel, "act": moved.act, "qacc_warmstart": moved.qacc}
+    after["history"] = _history(plan, symbols["history"], moved, num_substeps * model.timestep)
     time = [one + num_substeps * model.timestep for one in symbols["time"]]
-    checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *ctrl]
+    checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *state.history, *ctrl]
     is_sound = _is_sound([*checked, *(x for values in after.values() for x in values)])
     if program.memory.lists:
         is_sound = is_sound & (overflow(program) < 1.0)
@@ -89,7 +91,7 @@ def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = No
 def derived_program(plan: Plan) -> Program:
     """From an environment's state and, where a field depends on forces, its control to the derived fields."""
     program, symbols, model = _begun(plan)
-    state = _state(symbols)
+    state = _state(plan, symbols)
     standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
     if _OF_FORCES in plan.derived or model.num_readings:
         standing = unmoved(model, state, symbols["ctrl"])
@@ -102,7 +104,8 @@ def derived_program(plan: Plan) -> Program:
 def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, Vector], Model]:
     """A program with its inputs, empty where the plan has none, and the model with the inputs' fields."""
     program = Program()
-    symbols = {name: list[Symbol]() for name in ("qpos", "qvel", "act", "qacc_warmstart", "time", "ctrl")}
+    names = ("qpos", "qvel", "act", "qacc_warmstart", "history", "time", "ctrl")
+    symbols = {name: list[Symbol]() for name in names}
     symbols |= {name: program.inputs(name, size) for name, size in plan.inputs.items()}
     read = read_model(plan.model, {name: symbols[name] for name in plan.own})
     tolerance = max(_LEAST_TOLERANCE, read.solver.tolerance)
@@ -115,8 +118,25 @@ def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, V
     return program, symbols, with_lane_constants(program, written_out, limbs)
 
 
-def _state(symbols: Mapping[str, Vector]) -> SubstepState:
-    return SubstepState(symbols["qpos"], symbols["qvel"], symbols["act"], symbols["qacc_warmstart"])
+def _state(plan: Plan, symbols: Mapping[str, Vector]) -> SubstepState:
+    read = symbols["history"]
+    history = [read[place] for place in _places(control_places(plan.model))] if read else []
+    parts = (symbols[name] for name in ("qpos", "qvel", "act", "qacc_warmstart"))
+    return SubstepState(*parts, history=history)
+
+
+def _history(plan: Plan, before: Vector, moved: Moved, duration: float) -> Vector:
+    """MuJoCo's `history` after a step that takes this long, in s."""
+    found = list(before)
+    for place, control in zip(_places(control_places(plan.model)), moved.history, strict=True):
+        found[place] = control
+    for place in _places(time_places(plan.model)):
+        found[place] = before[place] + duration
+    return found
+
+
+def _places(by_actuator: Mapping[int, Sequence[int]]) -> list[int]:
+    return [place for own in by_actuator.values() for place in own]
 
 
 def _derived(

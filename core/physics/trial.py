@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from core.physics.engine import Engine, PhysicsState
 from core.physics.model import in_parts, initial_qpos
+from mujoco_compiled import ordered_history
 
 # The part of the motion by which an engine may differ in half of the tries, and in nine of ten.
 HALF_WITHIN, MOST_WITHIN = 1e-3, 0.1
@@ -174,8 +175,9 @@ def _state(model: mujoco.MjModel, data: mujoco.MjData) -> Arrays:
     mujoco.mj_copyData(fresh, model, data)
     for stage in (mujoco.mj_fwdPosition, mujoco.mj_sensorPos, mujoco.mj_fwdVelocity, mujoco.mj_sensorVel):
         stage(model, fresh)
-    carried = {name: np.array(getattr(data, name)) for name in (*_CARRIED, "time", "history")}
-    return {**carried, "sensordata": np.array(fresh.sensordata)}
+    carried = {name: np.array(getattr(data, name)) for name in (*_CARRIED, "time")}
+    history = ordered_history(model, data.history)
+    return {**carried, "history": history, "sensordata": np.array(fresh.sensordata)}
 
 
 def _stacked(states: tuple[Arrays, ...]) -> Arrays:

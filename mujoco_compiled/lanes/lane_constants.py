@@ -8,6 +8,7 @@ import numpy as np
 
 from mujoco_compiled.lanes.limbs import Limbs
 from mujoco_compiled.program.program import Program, Symbol
+from mujoco_compiled.smooth.delays import control_places
 from mujoco_compiled.substep import Model
 
 # The fields of parts of limbs begin with these.
@@ -64,11 +65,18 @@ def alike_inputs(model: Model, limbs: Limbs, own: Sequence[str] = ()) -> dict[st
     """Places of the state's, the controls' and some fields' numbers that are alike, by lane."""
     place = _Places(Program(), limbs)
     actuators = place.grouped(model.actuators, lambda one: one.path.dofs)
+    late = control_places(limbs.model)
     activations = [[model.actuators[one].activation for one in alike] for alike in actuators]
     return {
         **{name: list(limbs.alike(name)) for name in ("qpos", "qvel", "qacc_warmstart")},
         **{name: list(limbs.alike(name)) for name in own if name.split("_")[0] in _BY_PARTS},
         "ctrl": actuators,
+        "history": [
+            places
+            for alike in actuators
+            if alike[0] in late
+            for places in zip(*(late[one] for one in alike), strict=True)
+        ],
         "act": [
             tuple(one.address for one in alike if one is not None)
             for alike in activations

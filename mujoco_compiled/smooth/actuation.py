@@ -4,7 +4,7 @@ Source: MuJoCo's documentation, Computation, "Actuation model".
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import exp
 
 import mujoco
@@ -12,6 +12,7 @@ import numpy as np
 
 from mujoco_compiled.fields import NOMINAL, Fields, Own, is_zero
 from mujoco_compiled.program.arithmetic import Number, Vector, clip, maximum, select
+from mujoco_compiled.smooth.delays import Late, read_late
 from mujoco_compiled.smooth.muscles import (
     Muscle,
     MuscleDynamics,
@@ -45,7 +46,7 @@ class ActuatorConstants:
     """A force along a length: gain · (control or activation) + bias.
 
     gain, bias: three coefficients each, of 1, of the length and of its rate, or a muscle's. control_range,
-    force_range: None without bounds.
+    force_range: None without bounds. late: None without a delay.
     """
 
     path: ActuatorPath
@@ -54,31 +55,35 @@ class ActuatorConstants:
     activation: ActivationConstants | None
     control_range: Range | None
     force_range: Range | None
+    late: Late | None
 
 
 @dataclass(frozen=True)
 class Driven:
     """forces: the actuators' own [nu]. on_dofs: on the degrees of freedom [nv], MuJoCo's `qfrc_actuator`.
 
-    act: the activations [na] after the timestep. slopes: of the actuators' forces.
+    act: the activations [na] after the timestep. slopes: of the actuators' forces. history: the controls for
+    actuators that act late, after the timestep.
     """
 
     forces: Vector
     on_dofs: Vector
     act: Vector
     slopes: list[Slope]
+    history: Vector
 
 
 @dataclass(frozen=True)
 class ActuatorState:
     """stretches: of the actuators' paths. qvel: [nv]. act: [na]. ctrl: [nu]. held: [nv], of gravity
-    compensation; empty without."""
+    compensation; empty without. history: of controls, for actuators that act late; see `delays`."""
 
     stretches: Sequence[Stretch]
     qvel: Vector
     act: Vector
     ctrl: Vector
     held: Vector
+    history: Vector = field(default_factory=list[Number])
 
 
 def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[ActuatorConstants, ...]:
@@ -89,7 +94,8 @@ def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[ActuatorC
     fields = Fields(model, own)
     if fields.disables(mujoco.mjtDisableBit.mjDSBL_ACTUATION):
         return ()
-    return tuple(_actuator(fields, number) for number in range(model.nactuator))
+    late = read_late(model)
+    return tuple(_actuator(fields, number, late.get(number)) for number in range(model.nactuator))
 
 
 def actuator_stretch(path: ActuatorPath, posture: Posture) -> Stretch:
@@ -107,7 +113,7 @@ def driven(
     tree: Tree, actuators: tuple[ActuatorConstants, ...], state: ActuatorState, timestep: float
 ) -> Driven:
     """The actuators in a timestep."""
-    found = Driven([], [0.0] * len(state.qvel), list(state.act), [])
+    found = Driven([], [0.0] * len(state.qvel), list(state.act), [], list(state.history))
     if not actuators:
         return found
     for actuator, stretched, control in zip(actuators, state.stretches, state.ctrl, strict=True):
@@ -130,6 +136,9 @@ def _drive(
 ) -> None:
     """Add what one actuator does."""
     length, rate = stretched.length, stretched.rate(state.qvel)
+    if actuator.late is not None:
+        actuator.late.remember(found.history, control)
+        control = actuator.late.control(state.history)
     wanted = clip(control, *actuator.control_range) if actuator.control_range else control
     if activation := actuator.activation:
         before = state.act[activation.address]
@@ -175,7 +184,7 @@ def _affine(coefficients: Vector, length: Number, rate: Number) -> tuple[Number,
     return constant + of_length * length + of_rate * rate, of_rate
 
 
-def _actuator(fields: Fields, number: int) -> ActuatorConstants:
+def _actuator(fields: Fields, number: int, late: Late | None) -> ActuatorConstants:
     model = fields.model
     clamps = not fields.disables(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
     limits_control = clamps and bool(model.actuator_ctrllimited[number])
@@ -187,6 +196,7 @@ def _actuator(fields: Fields, number: int) -> ActuatorConstants:
         activation=_activation(fields, number) if model.actuator_actadr[number] >= 0 else None,
         control_range=_range(model.actuator_ctrlrange[number]) if limits_control else None,
         force_range=(low, high) if model.actuator_forcelimited[number] else None,
+        late=late,
     )
 
 

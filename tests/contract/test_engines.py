@@ -435,3 +435,14 @@ def test_delays_are_part_of_the_state_to_the_last_bit() -> None:
     np.testing.assert_array_equal(of_parts(np.asarray(state.exact["history"][1])), data.history)
     assert of_parts(np.asarray(state.exact["time"][1])) == data.time
     assert state.time[1] == np.float32(data.time)
+
+
+def test_a_compiled_engine_s_late_controls_are_part_of_its_state() -> None:
+    engine = engine_builder("compiled")(mujoco.MjModel.from_xml_string(DELAYED), 5, ())
+    step = jax.jit(jax.vmap(engine.step))
+    kept = read_again = jax.vmap(engine.reset)(jnp.zeros((2, 1)), jnp.zeros((2, 1)))
+    for ctrl in np.random.default_rng(0).uniform(-1, 1, (20, 2, 1)).astype(np.float32):
+        kept = step(kept, ctrl)
+        read_again = serialization.from_bytes(kept, serialization.to_bytes(step(read_again, ctrl)))
+    assert np.abs(kept.exact["history"]).max() > 0.5
+    jax.tree.map(np.testing.assert_array_equal, kept, read_again)

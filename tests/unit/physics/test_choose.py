@@ -24,7 +24,7 @@ def test_a_worker_without_the_extra_ends_the_job_with_the_way_out(
 def test_no_code_is_made_for_a_body_beyond_compiled_and_the_element_is_named() -> None:
     model = mujoco.MjModel.from_xml_string(
         """<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/></body></worldbody>
-        <actuator><motor name="drive" joint="hip" delay="0.01" nsample="2"/></actuator></mujoco>"""
+        <actuator><motor name="drive" joint="hip" damping="0.1"/></actuator></mujoco>"""
     )
     with pytest.raises(JobFailed, match=r"'compiled' cannot run the model: its actuator 'drive'") as failure:
         engine_builder("compiled")(model, 1, ())

@@ -1,4 +1,4 @@
-"""Features as files of real robots have them: each is refused with a sentence, or moves as in C MuJoCo.
+"""Features as files of real robots have them: each moves as in C MuJoCo.
 
 Each file of the folder has one feature in use. Machine code in single precision is set down
 in 50 of C MuJoCo's states, half of them after a fall, under random controls, and compared after 0.04 s
@@ -10,26 +10,19 @@ import pytest
 
 from core.physics.compiled import CompiledEngine
 from core.physics.trial import compare, record
-from mujoco_compiled.coverage import uncovered, uncovered_fields
+from mujoco_compiled.coverage import uncovered
 from mujoco_compiled.tests.bodies import FEATURES
 from tests.extra import extra
 
 DEFAULT = ("closed_leg", "condim_6", "imu", "servos")
-# With what a feature may be refused; one that is covered by now need not be taken from here at once.
-REFUSED = {
-    "delays": "its actuator number 0 acts with a delay",
-}
 NAMES = sorted(file.stem for file in FEATURES.iterdir())
 
 
 @pytest.mark.parametrize("name", [*DEFAULT, *extra(*(name for name in NAMES if name not in DEFAULT))])
-def test_a_feature_is_refused_or_moves_as_in_mujoco(name: str) -> None:
+def test_a_feature_moves_as_in_mujoco(name: str) -> None:
     model = mujoco.MjModel.from_xml_path(str(FEATURES / f"{name}.xml"))
     derived = ("sensordata",) if model.nsensor else ()
-    reason = uncovered(model) or uncovered_fields(model, derived)
-    if reason is not None:
-        assert reason == REFUSED.get(name)
-        return
+    assert uncovered(model, derived) is None
     reference = record(model)
     assert reference is not None
     found = compare(CompiledEngine(model, reference.num_substeps, derived), reference)
