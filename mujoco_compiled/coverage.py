@@ -10,7 +10,7 @@ from mujoco_compiled.collisions.hulls import read_hull
 from mujoco_compiled.collisions.own_boxes import fixed_boxes
 from mujoco_compiled.collisions.prisms import ON_FIELDS
 from mujoco_compiled.collisions.table import COLLIDERS
-from mujoco_compiled.constraints.contact_slots import MOST_SLOTS
+from mujoco_compiled.constraints.contact_room import MOST_SLOTS
 from mujoco_compiled.constraints.pairs import Pair, meshes_left_out, read_pairs
 from mujoco_compiled.constraints.solref import is_computable
 from mujoco_compiled.fields import GEOMETRY, Fields
@@ -55,11 +55,11 @@ class Uncovered(NotImplementedError):
     """What the stages cannot compute, as a sentence."""
 
 
-def uncovered(model: mujoco.MjModel, derived: Sequence[str] = ()) -> str | None:
+def uncovered(model: mujoco.MjModel, derived: Sequence[str] = (), nconmax: int | None = None) -> str | None:
     """The first reason why the stages cannot move the model, or compute these derived fields of it, such as
-    "its geom 'rock' is a mesh"; None: they can."""
+    "its geom 'rock' is a mesh"; None: they can. nconmax: see `put_model`."""
     reasons = (reason for check in _CHECKS for reason in check(model))
-    return next(reasons, None) or uncovered_fields(model, derived)
+    return next(reasons, None) or _rest(model, nconmax) or uncovered_fields(model, derived)
 
 
 def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
@@ -350,18 +350,20 @@ def _with_article(word: str) -> str:
     return f"an {word}" if word[0] in "aeiou" else f"a {word}"
 
 
-def _rest(model: mujoco.MjModel) -> Iterator[str]:
+def _rest(model: mujoco.MjModel, nconmax: int | None) -> str | None:
     if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
-        return
+        return None
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_collision(model, data)
-    if data.ncon > MOST_SLOTS:
-        yield f"its geoms touch at {data.ncon:,} points where it begins, more than {MOST_SLOTS}"
+    if data.ncon <= (nconmax or MOST_SLOTS):
+        return None
+    most = f"{MOST_SLOTS}" if nconmax is None else f"its `nconmax` of {nconmax}"
+    return f"its geoms touch at {data.ncon:,} points where it begins, more than {most}"
 
 
 _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (
-    _options, _combinations, _parts, _equalities, _joints, _tendons, _actuators, _contacts, _rest,
+    _options, _combinations, _parts, _equalities, _joints, _tendons, _actuators, _contacts,
 )  # fmt: skip
 _CURVE = "has a `solimp` whose power is not a multiple of a half"
 

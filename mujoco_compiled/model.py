@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from mujoco_compiled.code.function_source import FunctionSource
+from mujoco_compiled.constraints.contact_room import MOST_NCONMAX
 from mujoco_compiled.coverage import Uncovered, uncovered, uncovered_own
 from mujoco_compiled.fields import MODEL_FIELDS, model_field
 from mujoco_compiled.smooth.delays import control_places
@@ -29,12 +30,14 @@ class Moves:
     """The code that moves one model, made while JAX traces and compiles.
 
     model: its numbers must not change any more. nstep: how many substeps a step has. derived: the fields of
-    the state that are computed.
+    the state that are computed. nconmax: see `put_model`.
     """
 
-    def __init__(self, model: mujoco.MjModel, nstep: int, derived: Sequence[str]) -> None:
-        self.model, self.nstep, self.derived = model, nstep, tuple(derived)
-        self._described = f"{_fingerprint(model)} {nstep} {self.derived}"
+    def __init__(
+        self, model: mujoco.MjModel, nstep: int, derived: Sequence[str], nconmax: int | None
+    ) -> None:
+        self.model, self.nstep, self.derived, self._nconmax = model, nstep, tuple(derived), nconmax
+        self._described = f"{_fingerprint(model)} {nstep} {self.derived} {nconmax}"
         blank = mujoco.MjData(model)
         # What a step reads and changes.
         self.carried = (*_CARRIED, *(("history",) if control_places(model) else ()))
@@ -86,11 +89,11 @@ class Moves:
         own_sizes = {name: np.size(model_field(self.model, name)) for name in own}
         inputs = self._sizes((*read, "time") if reads_time else read) | own_sizes
         written = self._sizes((*(self.carried if move == "step" else ()), *self.derived))
-        plan = Plan(self.model, inputs, own, self.derived)
+        plan = Plan(self.model, inputs, own, self.derived, self._nconmax)
         described = f"{move} {self._described} {own}"
         if move == "forward":
-            write = partial(derived_program, plan)
-            return FunctionSource(described, write, write, inputs, written)
+            write, alone = partial(derived_program, plan), partial(derived_program, plan, alone=True)
+            return FunctionSource(described, write, alone, inputs, written)
         write, in_lanes = (
             partial(one, plan, self.nstep) for one in (control_step_program, control_step_in_lanes)
         )
@@ -118,17 +121,26 @@ class Model:
         return Model(self.moves, own)
 
 
-def put_model(model: mujoco.MjModel, *, nstep: int = 1, derived: Sequence[str] = ()) -> Model:
+def put_model(
+    model: mujoco.MjModel, *, nstep: int = 1, derived: Sequence[str] = (), nconmax: int | None = None
+) -> Model:
     """The model for `step` and `forward`; its code is made in the background, or read where `keep_code` has
-    kept it. Raises Uncovered if the model has what the stages cannot compute.
+    kept it. Raises Uncovered if the model has what the stages cannot compute, or begins with more contacts
+    than there is room for; ValueError for an `nconmax` beyond 1 to 1,024.
 
     nstep: how many time steps of the model a `step` has, under constant controls. derived: which of
     `DERIVED_FIELDS` are computed with each `step`; what is not asked for costs nothing. The solver is
     Newton's, with the model's iterations and tolerance; everything is float32.
+
+    nconmax: the contacts of an environment at once for which there is room, of each kind (those of two bodies
+    that move, and those with what stands still, by number of directions). None: twice as many as the model
+    has in a short simulation, up to 512. On a CPU, where environments share it, it is 512 or more.
     """
-    if reason := uncovered(model, derived):
+    if nconmax is not None and not 1 <= nconmax <= MOST_NCONMAX:
+        raise ValueError(f"nconmax is {nconmax:,}; it must be from 1 to {MOST_NCONMAX:,}.")
+    if reason := uncovered(model, derived, nconmax):
         raise Uncovered(reason)
-    return Model(Moves(copy.copy(model), nstep, derived))
+    return Model(Moves(copy.copy(model), nstep, derived, nconmax))
 
 
 def _on_this_device(source: FunctionSource) -> _Call:

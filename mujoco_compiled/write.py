@@ -4,15 +4,16 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from math import nan
+from math import inf, nan
 
 import mujoco
 
-from mujoco_compiled.fields import Fields
+from mujoco_compiled.constraints.contact_room import room_of_lanes, room_of_one
+from mujoco_compiled.fields import GEOMETRY, Fields
 from mujoco_compiled.lanes.fold import folded
 from mujoco_compiled.lanes.lane_constants import NotAlike, alike_inputs, with_lane_constants
 from mujoco_compiled.lanes.limbs import Limbs, ways_to_share
-from mujoco_compiled.program.arithmetic import Vector, absolute, select
+from mujoco_compiled.program.arithmetic import Number, Vector, absolute, select
 from mujoco_compiled.program.flow import needed
 from mujoco_compiled.program.memory import overflow
 from mujoco_compiled.program.program import Program, Symbol
@@ -32,6 +33,8 @@ from mujoco_compiled.substep import (
 
 # In float32 no solver gets below this part of its cost.
 _LEAST_TOLERANCE = 1e-6
+# The largest float32.
+_INFINITE = 3.4028235e38
 _LOG = logging.getLogger(__name__)
 _OF_FORCES = "qfrc_actuator"
 # Where geoms can touch, of a body whose limbs are shared out: there, each is written out.
@@ -41,16 +44,18 @@ _MOST_POINTS_IN_LANES = 64
 @dataclass(frozen=True)
 class Plan:
     """inputs: the sizes of a state's fields and of ctrl, as far as the program reads them, and of the model's
-    fields that differ between environments, own. derived: the fields to compute."""
+    fields that differ between environments, own. derived: the fields to compute. nconmax: see `put_model`."""
 
     model: mujoco.MjModel
     inputs: Mapping[str, int]
     own: tuple[str, ...]
     derived: tuple[str, ...]
+    nconmax: int | None = None
 
 
 def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
-    """The same for as many lanes as the body has limbs that are alike; for one if it has none."""
+    """For as many lanes as the body has limbs that are alike; for one if it has none. An environment has
+    slots for itself."""
     model = read_model(plan.model)
     # More points than these would be too long to write out, and a fold has no tables.
     constraints = model.constraints
@@ -59,19 +64,22 @@ def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
     for limbs in ways_to_share(plan.model) if is_short else ():
         try:
             alike = alike_inputs(model, limbs, plan.own)
-            return folded(control_step_program(plan, num_substeps, limbs), alike, limbs.num_lanes)
+            return folded(control_step_program(plan, num_substeps, limbs=limbs), alike, limbs.num_lanes)
         except NotAlike as error:
             _LOG.info("The body is not shared out to %d lanes: %s.", limbs.num_lanes, error)
-    return control_step_program(plan, num_substeps)
+    return control_step_program(plan, num_substeps, alone=True)
 
 
-def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = None) -> Program:
+def control_step_program(
+    plan: Plan, num_substeps: int, *, alone: bool = False, limbs: Limbs | None = None
+) -> Program:
     """From an environment's state and control to its state after it and the derived fields.
 
     An environment in which a number is past the bound beyond which MuJoCo calls a state unstable, before or
-    after, becomes NaN. limbs: those in whose numbers the program is to be the same.
+    after, becomes NaN; one that had no room for contacts, infinite. alone: whether an environment has slots
+    for itself. limbs: those in whose numbers the program is to be the same.
     """
-    program, symbols, model = _begun(plan, limbs)
+    program, symbols, model = _begun(plan, alone=alone, limbs=limbs)
     ctrl, state = symbols["ctrl"], _state(plan, symbols)
     moved = control_step(model, num_substeps, state, ctrl, reads_forces=_OF_FORCES in plan.derived)
     after = {"qpos": moved.qpos, "qvel": moved.qvel, "act": moved.act, "qacc_warmstart": moved.qacc}
@@ -79,18 +87,21 @@ def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = No
     time = [one + num_substeps * model.timestep for one in symbols["time"]]
     checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *state.history, *ctrl]
     is_sound = _is_sound([*checked, *(x for values in after.values() for x in values)])
+    lost: Number = nan
     if program.memory.lists:
-        is_sound = is_sound & (overflow(program) < 1.0)
+        has_room = (overflow(program) < 1.0) & (state.qpos[0] < _INFINITE)
+        is_sound, lost = is_sound & has_room, select(has_room, nan, inf)
     seen = _derived(plan, symbols, model, moved, time)
     for name, values in (*after.items(), *seen):
         if values:
-            program.output(name, [select(is_sound, x, nan) for x in values])
+            program.output(name, [select(is_sound, x, lost) for x in values])
     return needed(program)
 
 
-def derived_program(plan: Plan) -> Program:
-    """From an environment's state and, where a field depends on forces, its control to the derived fields."""
-    program, symbols, model = _begun(plan)
+def derived_program(plan: Plan, *, alone: bool = False) -> Program:
+    """From an environment's state and, where a field depends on forces, its control to the derived fields.
+    alone: see `control_step_program`."""
+    program, symbols, model = _begun(plan, alone=alone)
     state = _state(plan, symbols)
     standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
     if _OF_FORCES in plan.derived or model.num_readings:
@@ -101,7 +112,9 @@ def derived_program(plan: Plan) -> Program:
     return needed(program)
 
 
-def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, Vector], Model]:
+def _begun(
+    plan: Plan, *, alone: bool, limbs: Limbs | None = None
+) -> tuple[Program, dict[str, Vector], Model]:
     """A program with its inputs, empty where the plan has none, and the model with the inputs' fields."""
     program = Program()
     names = ("qpos", "qvel", "act", "qacc_warmstart", "history", "time", "ctrl")
@@ -109,7 +122,15 @@ def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, V
     symbols |= {name: program.inputs(name, size) for name, size in plan.inputs.items()}
     read = read_model(plan.model, {name: symbols[name] for name in plan.own})
     tolerance = max(_LEAST_TOLERANCE, read.solver.tolerance)
-    read = replace(read, solver=replace(read.solver, tolerance=tolerance))
+    room = room_of_lanes(plan.nconmax)
+    # Boxes that environments have elsewhere are where the model has them in a simulation.
+    if alone and (plan.nconmax is not None or not set(GEOMETRY).intersection(plan.own)):
+        room = room_of_one(plan.model, read.constraints.contacts, plan.nconmax)
+    read = replace(
+        read,
+        solver=replace(read.solver, tolerance=tolerance),
+        constraints=replace(read.constraints, room=room),
+    )
     if "sensordata" in plan.derived:
         read = with_sensors(read, plan.model)
     if limbs is None:

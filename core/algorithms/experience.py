@@ -19,7 +19,7 @@ from core.environments.environment import Environment, State
 from core.environments.wrappers.autoreset import Episodes, draw, follow, without_lost
 from core.environments.wrappers.terrain_levels import chosen_starts
 from core.environments.wrappers.vectorized import VectorEnv
-from core.physics.engine import OVERFLOW
+from core.physics.engine import overflowed
 
 # The share of an update's steps that may lose a body; a run that loses more has diverged.
 _MOST_LOST = 0.01
@@ -51,8 +51,8 @@ class StepOutcomes:
 
     fell: 1 where the episode ended, though not by its length. lost: of these, 1 where the body's state was
     lost (`without_lost`). effort: mean square of the action's components. metrics: the environment's own, by
-    name, and its body's position. overflow: 1 where the engine lost contacts, not known of an episode's last
-    step; None if the engine cannot lose any. steps: for the last states of a lost body.
+    name, and its body's position. overflow: 1 where the engine had no room for all contacts. steps: for the
+    last states of a lost body.
     """
 
     reward: PerStep
@@ -62,7 +62,7 @@ class StepOutcomes:
     lost: PerStep
     effort: PerStep
     metrics: Mapping[str, PerStep]
-    overflow: PerStep | None
+    overflow: PerStep
     steps: Steps | None = None
 
 
@@ -84,7 +84,8 @@ def collect(
     def act(episodes: Episodes, step_inputs: Any) -> tuple[Episodes, tuple[Transition, StepOutcomes]]:
         key, chosen = step_inputs
         action, extras = policy(episodes.state.obs, key)
-        reached, lost = without_lost(episodes.state, envs.step(episodes.state, action))
+        moved = envs.step(episodes.state, action)
+        reached, lost = without_lost(episodes.state, moved)
         fresh = None if starts is None else starts.after(envs.environment, reached, chosen)
         after = follow(episodes, reached, fresh, episode_length=episode_length)
         transition = Transition(
@@ -103,7 +104,7 @@ def collect(
             lost=lost.astype(jnp.float32),
             effort=jnp.mean(jnp.square(action), axis=-1),
             metrics={**where(reached.physics), **reached.metrics},
-            overflow=after.state.physics.derived.get(OVERFLOW),
+            overflow=overflowed(moved.physics),
             steps=Steps.of(episodes.state, action, after.state.reward, after.state.done),
         )
         return after, (transition, outcome)
@@ -172,8 +173,7 @@ def summarise(outcome: StepOutcomes) -> dict[str, Float[Array, ""]]:
     """Sums over one update, [] float32: finished episodes, their scores and lengths, and how many fell.
 
     Also means over its steps: the control effort, every metric of the environment by its own name (the speed
-    by a clearer one), the share of steps that lost a body, and of those in which the engine lost contacts, if
-    it can.
+    by a clearer one), the share of steps that lost a body, and of those in which the engine lost contacts.
     """
     means = clearly_named(outcome.metrics) | {
         "control_effort": outcome.effort,
@@ -186,7 +186,7 @@ def summarise(outcome: StepOutcomes) -> dict[str, Float[Array, ""]]:
         "length": jnp.sum(outcome.ended_length).astype(jnp.float32),
         "falls": jnp.sum(outcome.fell),
     }
-    return {name: jnp.mean(values) for name, values in means.items() if values is not None} | sums
+    return {name: jnp.mean(values) for name, values in means.items()} | sums
 
 
 def greedy(values: Float[Array, "*N choices"]) -> Int[Array, "*N"]:

@@ -36,7 +36,7 @@ _SHARED: dict[type[BaseModel], str] = {
     "a robot that walks by command:",
 }
 # Options that are one thing and not terms, and are described where they are used.
-_ELSEWHERE = {"root", "feet", "n_frames", "timestep", "solver", "iterations", "ls_iterations"}
+_ELSEWHERE = {"root", "feet", "n_frames", "timestep", "solver", "iterations", "ls_iterations", "nconmax"}
 
 
 def page() -> str:

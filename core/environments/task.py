@@ -427,7 +427,11 @@ class TaskEnv(MujocoEnv):
 def solver_settings(options: TaskOptions) -> SolverSettings:
     """How far engines solve under these options."""
     return SolverSettings(
-        options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
+        options.iterations,
+        options.ls_iterations,
+        implicit_damping=True,
+        solver=options.solver,
+        nconmax=options.nconmax,
     )
 
 

@@ -61,7 +61,8 @@ class _Builder:
                 from core.physics.compiled import CompiledEngine, check_solver
 
                 check_solver(accelerated)
-                return CompiledEngine(with_solver_of_compiled(model, accelerated), num_substeps, derived)
+                solved = with_solver_of_compiled(model, accelerated)
+                return CompiledEngine(solved, num_substeps, derived, accelerated and accelerated.nconmax)
             case _:
                 assert_never(self.name)
 

@@ -24,16 +24,23 @@ _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 class CompiledEngine:
     """Code made for one body, on all cores or on a GPU.
 
-    An environment that is not finite, or past MuJoCo's own bound, comes back as NaN. On one kind of processor
-    every environment has the same result every time, and beside any others.
+    An environment that is not finite, or past MuJoCo's own bound, comes back as NaN, and one that had no room
+    for contacts infinite. On one kind of processor every environment has the same result every time, and
+    beside any others.
     """
 
     name = "compiled"
 
-    def __init__(self, model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_substeps: int,
+        derived: tuple[str, ...],
+        nconmax: int | None = None,
+    ) -> None:
         self.model, self._derived = model, derived
         with _refusing():
-            self._nominal = put_model(model, nstep=num_substeps, derived=derived)
+            self._nominal = put_model(model, nstep=num_substeps, derived=derived, nconmax=nconmax)
         if sentences := list(left_out(model)):
             log.info("physics_leaves_out", engine=self.name, sentences=sentences)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, Protocol
 
 import jax
+import jax.numpy as jnp
 import mujoco
 from flax import serialization, struct
 
@@ -25,7 +26,8 @@ DERIVED_FIELDS = (
     "xquat",
 )
 # The engine `warp` always adds this one: [] float32, 1 where the step lost contacts or constraint rows
-# because its buffers were full. The other engines return NaN for such an environment, or cannot overflow.
+# because its buffers were full. `compiled` returns infinity for such an environment; the others have room
+# for all.
 OVERFLOW = "overflow"
 
 # Fields of the model that may differ between environments, by their names in `mujoco.batch`. Their values do
@@ -90,6 +92,12 @@ class PhysicsState:
     derived: Mapping[str, jax.Array]
     model: ModelFields = field(default_factory=dict[str, jax.Array])
     exact: Mapping[str, jax.Array] = field(default_factory=dict[str, jax.Array])
+
+
+def overflowed(state: PhysicsState) -> jax.Array:
+    """[...] float32: 1 where the step that led to these states lost contacts for lack of room."""
+    infinite = jnp.isposinf(state.qpos).all(axis=-1) & (state.qpos.shape[-1] > 0)
+    return state.derived.get(OVERFLOW, infinite.astype(jnp.float32))
 
 
 # A state in which these are empty is stored as before they existed.
@@ -162,6 +170,7 @@ class SolverSettings:
     implicit_damping: Euler's implicit joint damping, which costs one more factorisation per substep.
     asked: the names of the fields that the job itself gives; every engine takes these as they are.
     compiled: what `compiled` takes in place of all of these, `asked` included; if None, it takes these.
+    nconmax: see `mujoco_compiled.put_model`.
     """
 
     iterations: int
@@ -170,6 +179,7 @@ class SolverSettings:
     solver: Literal["newton", "cg"] = "newton"
     asked: frozenset[str] = frozenset()
     compiled: "SolverSettings | None" = None
+    nconmax: int | None = None
 
     @classmethod
     def of_job(

@@ -7,11 +7,12 @@ Source: MuJoCo's documentation, Computation, "Constraint model".
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 
 from mujoco_compiled.constraints.body_rows import BodyGroup
+from mujoco_compiled.constraints.contact_room import Room, room_of_lanes
 from mujoco_compiled.constraints.contact_tables import ContactTables
 from mujoco_compiled.constraints.contacts import (
     ContactPair,
@@ -49,7 +50,8 @@ FEW_CONTACTS = 8
 
 @dataclass(frozen=True)
 class Constraints:
-    """All that a model can ever have. are_written_out: whether contacts are, however many there are."""
+    """All that a model can ever have. are_written_out: whether contacts are, however many there are. room: in
+    slots."""
 
     ties: tuple[Tie, ...]
     couplings: tuple[Coupling, ...]
@@ -58,6 +60,7 @@ class Constraints:
     ball_limits: tuple[BallLimit, ...]
     contacts: tuple[ContactPair, ...]
     are_written_out: bool = False
+    room: Room = field(default_factory=room_of_lanes)
 
     @property
     def are_in_slots(self) -> bool:
@@ -146,7 +149,7 @@ def _slots(
     moving: Motion,
 ) -> SlotRows:
     """The contacts in slots. groups: those that are written out."""
-    tables = ContactTables(loops, constraints.contacts)
+    tables = ContactTables(loops, constraints.contacts, constraints.room)
     tables.fill(at, moving)
     bound = {place for group in groups if isinstance(group, RowGroup) for place in lower_triangle(group)}
     is_dense = any(kind.is_double for kind in tables.kinds) or not bound <= set(loops.tree.entries)

@@ -27,25 +27,29 @@ from mujoco_compiled.program.memory import (
 from mujoco_compiled.program.program import Place
 from mujoco_compiled.smooth.tree_loops import TreeLoops
 
-# Of a kind, for all environments that are computed together. An overflow makes them NaN, which ends episodes.
-MOST_SLOTS = 512
-
 
 class SlotKind:
     """Contacts whose slots look alike: with as many directions, and the same sides that move.
 
     places: of the contacts among all of the model. first: one of them. signs: of the sides that move.
+    room: for how many points there are slots. An overflow ends the episodes of those that are computed
+    together.
     """
 
     def __init__(
-        self, loops: TreeLoops, name: str, contacts: Sequence[ContactPair], places: Sequence[int]
+        self,
+        loops: TreeLoops,
+        name: str,
+        contacts: Sequence[ContactPair],
+        places: Sequence[int],
+        room: int,
     ) -> None:
         program = loops.program
         self.program, self.name, self.contacts, self.places = program, name, contacts, places
         self.first = contacts[0]
         self.signs = [sign for body, sign in zip(self.first.bodies, (-1.0, 1.0), strict=True) if body]
         self.num_directions = self.first.num_directions
-        most = min(MOST_SLOTS, sum(contact.num_points for contact in contacts))
+        most = min(room, sum(contact.num_points for contact in contacts))
         self.slots: Rows = rows(program, f"{name} slots", most)
         # One more for what is lost.
         self.numbers: Array = array(program, f"{name} numbers", most + 1, sum(self._sizes.values()))

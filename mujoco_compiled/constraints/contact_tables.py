@@ -7,6 +7,7 @@ from typing import Any
 from mujoco_compiled.collisions.prisms import Window
 from mujoco_compiled.collisions.shapes import Geom, Placed, Touch
 from mujoco_compiled.collisions.table import COLLIDERS
+from mujoco_compiled.constraints.contact_room import Room
 from mujoco_compiled.constraints.contact_slots import Slot, SlotKind
 from mujoco_compiled.constraints.contacts import ContactPair, Side, are_close, push
 from mujoco_compiled.constraints.pairs import ContactParameters
@@ -31,14 +32,14 @@ _UNTURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 class ContactTables:
     """The contacts of a model as tables of a program. kinds: of slots."""
 
-    def __init__(self, loops: TreeLoops, contacts: Sequence[ContactPair]) -> None:
+    def __init__(self, loops: TreeLoops, contacts: Sequence[ContactPair], room: Room) -> None:
         program = loops.program
         self._program, self._loops = program, loops
         self._geoms = _GeomTable(program, contacts)
         places = {id(contact): place for place, contact in enumerate(contacts)}
-        groups = [_joined(_alike(own, _looks_of_loops)) for own in _alike(contacts, _looks_of_slots)]
+        groups = [_joined(_alike(own, _looks_of_loops)) for own in _alike(contacts, lambda one: one.looks)]
         self.kinds = [
-            SlotKind(loops, f"contacts {number}", own, [places[id(contact)] for contact in own])
+            SlotKind(loops, f"contacts {number}", own, [places[id(contact)] for contact in own], room(own[0]))
             for number, own in enumerate(groups)
         ]
         self._searches = [
@@ -208,11 +209,6 @@ _COLUMNS: dict[str, Callable[[ContactPair], Number]] = {
     "bound": lambda one: one.one.bound,
     "bound_other": lambda one: one.other.bound,
 }
-
-
-def _looks_of_slots(contact: ContactPair) -> Hashable:
-    """Alike for contacts whose slots look alike."""
-    return contact.num_directions, bool(contact.one.body), bool(contact.other.body)
 
 
 def _looks_of_loops(contact: ContactPair) -> Hashable:

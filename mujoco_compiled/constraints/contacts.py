@@ -44,6 +44,9 @@ from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
 from mujoco_compiled.smooth.tree import Tree
 
+# Of contacts whose slots look alike: the number of directions, and whether each side's body moves.
+Looks = tuple[int, bool, bool]
+
 
 @dataclass(frozen=True)
 class ContactPair:
@@ -73,6 +76,10 @@ class ContactPair:
     def num_directions(self) -> int:
         """The normal, and one for each friction."""
         return 1 + len(self.parameters.friction)
+
+    @property
+    def looks(self) -> Looks:
+        return self.num_directions, bool(self.one.body), bool(self.other.body)
 
     @property
     def num_points(self) -> int:

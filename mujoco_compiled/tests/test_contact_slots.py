@@ -9,12 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from mujoco_compiled import Data, put_model, step
-from mujoco_compiled.constraints import contact_slots
+from mujoco_compiled import Data, Uncovered, put_model, step
+from mujoco_compiled.constraints import contact_room
+from mujoco_compiled.constraints.contact_room import most_points
+from mujoco_compiled.constraints.contacts import read_contacts
+from mujoco_compiled.fields import Fields
 from mujoco_compiled.substep import SubstepState, read_model
 from mujoco_compiled.tests.extra import extra
 from mujoco_compiled.tests.recorded_substep import recorded
 from mujoco_compiled.tests.states import THOROUGH, converge, of_all, relative
+from mujoco_compiled.write import Plan, control_step_program
 
 NUM_STATES, NUM_ENVS = 6, 33
 
@@ -104,14 +108,67 @@ def test_an_environment_moves_alone_as_it_does_beside_others() -> None:
     assert np.isfinite(together).all()
 
 
-def test_environments_that_touch_at_more_points_than_there_are_slots_become_nan(
+def test_environments_that_touch_at_more_points_than_there_are_slots_become_infinite(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(contact_slots, "MOST_SLOTS", 2)
+    monkeypatch.setattr(contact_room, "MOST_SLOTS", 2)
     model, states = begun()
-    moved = np.asarray(jax.vmap(partial(step, put_model(model, nstep=3)))(states).qpos)
-    broken = np.isnan(moved).all(axis=1)
-    assert broken[0]
-    # Those of a vector break together.
-    assert not broken[-1]
-    assert not np.isnan(moved[~broken]).any()
+    move = jax.vmap(partial(step, put_model(model, nstep=3)))
+    moved = move(states)
+    lost = np.isposinf(moved.qpos).all(axis=1)
+    assert lost[0]
+    # Those of a vector are lost together.
+    assert not lost[-1]
+    assert np.isfinite(moved.qpos[~lost]).all()
+    assert np.isposinf(move(moved).qpos[lost]).all()
+    broken = move(states.replace(qvel=states.qvel.at[-1].set(jnp.nan)))
+    assert np.isnan(broken.qpos[-1]).all()
+
+
+def test_room_that_is_not_used_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, states = begun()
+    found = list[np.ndarray]()
+    for most in (64, 512):
+        monkeypatch.setattr(contact_room, "MOST_SLOTS", most)
+        found.append(np.asarray(jax.vmap(partial(step, put_model(model, nstep=40)))(states).qpos))
+    np.testing.assert_array_equal(*found)
+    assert np.isfinite(found[0]).all()
+
+
+def boxes(number: int) -> mujoco.MjModel:
+    """Boxes side by side on one of two floors, which touch nothing else."""
+    each = "".join(
+        f'<body pos="{k} 0 0.0999"><freejoint/>'
+        '<geom type="box" size="0.1 0.1 0.1" contype="1" conaffinity="0"/></body>'
+        for k in range(number)
+    )
+    floors = "".join(f'<geom type="plane" pos="0 0 {z}" size="5 5 1" contype="0"/>' for z in (0, -9, -9, -9))
+    return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{floors}{each}</worldbody></mujoco>")
+
+
+def slots(model: mujoco.MjModel, nconmax: int | None = None, *, alone: bool = True) -> int:
+    """Those that there are in a program."""
+    sizes = {"qpos": model.nq, "qvel": model.nv, "qacc_warmstart": model.nv}
+    program = control_step_program(Plan(model, sizes, (), (), nconmax), 1, alone=alone)
+    return program.memory.lists["contacts 0 slots"]
+
+
+def test_an_environment_alone_has_room_for_twice_the_contacts_of_a_simulation() -> None:
+    # A box touches a floor at up to four points, and could touch at sixteen on four floors.
+    model = boxes(12)
+    contacts = read_contacts(Fields(model))
+    assert most_points(model, contacts) == most_points(model, contacts) == {(3, False, True): 48}
+    assert (slots(model), slots(model, alone=False)) == (96, 192)
+    assert slots(boxes(5)) == 64
+    assert (slots(model, 40), slots(model, 40, alone=False), slots(boxes(40), 600, alone=False)) == (
+        40,
+        192,
+        600,
+    )
+
+
+def test_less_room_than_a_model_needs_where_it_begins_is_refused() -> None:
+    with pytest.raises(Uncovered, match="touch at 48 points where it begins, more than its `nconmax` of 47"):
+        put_model(boxes(12), nconmax=47)
+    with pytest.raises(ValueError, match=r"nconmax is 1,025; it must be from 1 to 1,024"):
+        put_model(boxes(12), nconmax=1025)

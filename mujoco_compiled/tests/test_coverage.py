@@ -6,7 +6,7 @@ import pytest
 
 from mujoco_compiled.collisions.hulls import MOST_VERTICES, read_hull
 from mujoco_compiled.constraints.constraints import read_constraints
-from mujoco_compiled.constraints.contact_slots import MOST_SLOTS
+from mujoco_compiled.constraints.contact_room import MOST_SLOTS
 from mujoco_compiled.coverage import left_out, uncovered
 from mujoco_compiled.tests.bodies import brax_model
 

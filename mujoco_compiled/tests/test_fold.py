@@ -78,7 +78,7 @@ def test_a_limb_without_a_limit_is_not_like_the_others() -> None:
     limbs = find_limbs(model, 4)
     assert limbs is not None
     with pytest.raises(NotAlike, match="a limb has parts that another has not"):
-        control_step_program(plan, 1, limbs)
+        control_step_program(plan, 1, limbs=limbs)
     assert_moves_alike(plan, control_step_in_lanes(plan, 2))
 
 

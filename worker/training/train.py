@@ -47,9 +47,9 @@ _CHECKPOINTS = 10
 
 # Sentences for the job's events. Each is sent the first time that its metric is above 0.
 _WARNINGS = {
-    "training/physics_overflow": "the engine's buffers were too small for some environments, and contacts "
-    "were lost (training/physics_overflow is the share of steps). Choose another engine by `physics` if that "
-    "matters.",
+    "training/physics_overflow": "the engine had no room for all contacts of some environments "
+    "(training/physics_overflow is the share of steps). On warp contacts were lost, on compiled the episode "
+    "ended. Give more room by the option `nconmax` (compiled), or choose another engine by `physics`.",
     "training/lost_bodies": "an engine lost the state of a body: its values were not finite, and its "
     "episode ended (training/lost_bodies is the share of steps). Stiff contacts, strong actuators or a long "
     "timestep can be the cause.",

@@ -38,7 +38,7 @@ from core.environments.environment import Environment, State
 from core.environments.wrappers.autoreset import select
 from core.environments.wrappers.vectorized import VectorEnv
 from core.errors import Rejected
-from core.physics.engine import OVERFLOW
+from core.physics.engine import overflowed
 
 # Each round checks these, in the order in which one spoils the next.
 QUANTITIES = ("observation", "reward", "table")
@@ -237,10 +237,11 @@ class Learner:
 
     def _seen(self, after: State, alive: jax.Array) -> dict[str, jax.Array]:
         """Means [agents] over an agent's environments of a decision; those that stand still do not count."""
-        values = clearly_named(after.metrics)
-        if (lost := after.physics.derived.get(OVERFLOW)) is not None:
-            values["physics_overflow"] = lost
-        values |= {"score": after.reward, "alive": jnp.ones_like(after.reward)}
+        values = clearly_named(after.metrics) | {
+            "physics_overflow": overflowed(after.physics),
+            "score": after.reward,
+            "alive": jnp.ones_like(after.reward),
+        }
         still = {name: jnp.where(alive, value, 0.0) for name, value in values.items()}
         means = {name: jnp.mean(self._by_agent(value), axis=1) for name, value in still.items()}
         return means | {"unseen": jnp.any(after.obs < 0)}

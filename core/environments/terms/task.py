@@ -154,6 +154,13 @@ class TaskOptions(Strict):
     ls_iterations: int = Field(
         default=8, ge=1, le=100, description="Line-search iterations on mjx, warp and compiled."
     )
+    nconmax: int | None = Field(
+        default=None,
+        ge=1,
+        le=1024,
+        description="Room for contacts of a body at once on compiled; null: twice as many as it has in a "
+        "short simulation.",
+    )
 
     @model_validator(mode="after")
     def _has_a_metric_for_each_term(self) -> Self:

@@ -171,7 +171,9 @@ def test_lengths_and_scores_are_told_of_whole_episodes_only() -> None:
     # action and two; the third began with the run, and its end is the only one of a whole episode.
     ended = jnp.array([[3, 0, 0], [0, 3, 0], [0, 0, 3]])
     ones = jnp.ones((3, 3))
-    outcome = StepOutcomes(ones, ended, ended * 1.0, jnp.where(ended > 0, 1.0, 0.0), 0 * ones, ones, {}, None)
+    outcome = StepOutcomes(
+        ones, ended, ended * 1.0, jnp.where(ended > 0, 1.0, 0.0), 0 * ones, ones, {}, 0 * ones
+    )
     told = summarise(of_whole_episodes(outcome, jnp.int32(0)))
     assert {name: float(told[name]) for name in ("episodes", "score", "length", "falls")} == {
         **{"episodes": 1.0, "score": 3.0},
@@ -186,9 +188,9 @@ def test_lengths_and_scores_are_told_of_whole_episodes_only() -> None:
 )
 def test_a_run_may_lose_one_body_or_a_hundredth(num_envs: int, lost: int, *, too_many: bool) -> None:
     # Of three steps: one of 12 is more than a hundredth, but it is one. Three of 300 are a hundredth.
-    ones = jnp.ones((3, num_envs))
+    ones, none = jnp.ones((3, num_envs)), jnp.zeros((3, num_envs))
     outcome = StepOutcomes(
-        ones, ones.astype(jnp.int32), ones, ones, (0 * ones).at[1, :lost].set(1.0), ones, {}, None
+        ones, ones.astype(jnp.int32), ones, ones, none.at[1, :lost].set(1.0), ones, {}, none
     )
     assert lost_too_many(outcome).tolist() == [False, too_many, False]
 
@@ -269,4 +271,4 @@ def test_lost_contacts_are_told_as_the_share_of_steps_that_lost_some() -> None:
     # Nobody falls; each environment's second step of four loses some.
     env = Probe(lambda obs, time, action: (action, jnp.zeros(())))
     assert outcome_of_four_steps(Overflowing(env))[0]["physics_overflow"] == 0.25
-    assert "physics_overflow" not in outcome_of_four_steps(env)[0]
+    assert outcome_of_four_steps(env)[0]["physics_overflow"] == 0.0

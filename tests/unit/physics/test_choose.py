@@ -46,7 +46,7 @@ def test_compiled_solves_as_the_environment_asks_and_with_two_iterations_at_leas
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     made: list[mujoco.MjModel] = []
-    monkeypatch.setattr(compiled, "CompiledEngine", lambda model, num_substeps, derived: made.append(model))
+    monkeypatch.setattr(compiled, "CompiledEngine", lambda model, *rest: made.append(model))
     ant = brax_model("ant")
     for settings in (
         SolverSettings(1, 4, implicit_damping=False),
@@ -90,7 +90,7 @@ def test_one_iteration_is_one_where_the_job_says_it(
     asked: int | None, made_with: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[mujoco.MjModel] = []
-    monkeypatch.setattr(compiled, "CompiledEngine", lambda model, num_substeps, derived: made.append(model))
+    monkeypatch.setattr(compiled, "CompiledEngine", lambda model, *rest: made.append(model))
     settings = SolverSettings.of_job(asked, None, implicit_damping=False)
     engine_builder("compiled")(brax_model("ant"), 5, (), accelerated=settings)
     assert _solver(made[0])[1:] == made_with

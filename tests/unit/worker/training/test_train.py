@@ -27,7 +27,7 @@ from worker.training.train import Report
 @pytest.mark.parametrize(
     ("metric", "words"),
     [
-        ("training/physics_overflow", "contacts were lost"),
+        ("training/physics_overflow", "no room for all contacts"),
         ("training/lost_bodies", "an engine lost the state of a body"),
     ],
 )
