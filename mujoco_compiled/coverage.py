@@ -222,8 +222,6 @@ def _joints(model: mujoco.MjModel) -> Iterator[str]:
 
 def _tendons(model: mujoco.MjModel) -> Iterator[str]:
     is_fixed = model.wrap_type[model.tendon_adr] == mujoco.mjtWrap.mjWRAP_JOINT
-    weighs = ~is_fixed & (model.tendon_armature != 0)
-    yield from where(model, "tendon", weighs, "is a spatial one and has an armature")
     for geom, side in sides(model):
         if model.geom_bodyid[geom] != model.site_bodyid[side]:
             yield f"its site {named(model, 'site', side)} is not on the body of the geom that it is a side of"
@@ -236,7 +234,6 @@ def _tendons(model: mujoco.MjModel) -> Iterator[str]:
     moves_nothing = "moves nothing in the model's own pose, and has a limit or friction"
     yield from where(model, "tendon", idle, moves_nothing)
     yield from where(model, "tendon", limited & _uncomputable(model.tendon_solimp_lim), _CURVE)
-    yield from where(model, "tendon", model.tendon_actfrclimited, "limits its actuators' forces")
 
 
 def _actuators(model: mujoco.MjModel) -> Iterator[str]:

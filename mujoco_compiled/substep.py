@@ -50,6 +50,7 @@ from mujoco_compiled.smooth.lone_bodies import lone_accelerations, read_lone_bod
 from mujoco_compiled.smooth.paths import Posture
 from mujoco_compiled.smooth.tendons import (
     Tendon,
+    armature_forces,
     read_tendons,
     tendon_forces,
     tendon_slopes,
@@ -210,6 +211,8 @@ def _problem(model: Model, state: SubstepState, ctrl: Vector) -> tuple[SolverPro
     held = weight_held(tree, at, moving)
     now = Instant(tree, at, moving, state.qvel, stretches, _driven(model, state, ctrl, posture, held))
     force = _smooth_forces(model, state, now, held, loops)
+    for dof, bias in armature_forces(model.tendons, posture, state.qvel).items():
+        force[dof] = force[dof] - bias
     placed = ConstraintState(state.qpos, state.qvel, stretches)
     rows = constraint_rows(tree, model.constraints, at, moving, placed, loops)
     inertia: Inertia = WrittenOut(tree, mass)

@@ -22,7 +22,7 @@ from mujoco_compiled.program.arithmetic import (
 )
 from mujoco_compiled.readings.scene import Frame, Scene
 from mujoco_compiled.smooth.actuation import Driven
-from mujoco_compiled.smooth.dynamics import Motion
+from mujoco_compiled.smooth.dynamics import Motion, accelerations
 from mujoco_compiled.smooth.kinematics import Poses
 from mujoco_compiled.smooth.paths import Stretch
 from mujoco_compiled.smooth.tree import Tree
@@ -77,11 +77,14 @@ class Instant:
 
 def force_readings(sensors: Sequence[ForceSensor], now: Instant, qacc: Vector) -> list[Vector]:
     """By sensor. qacc: [nv], the acceleration that the solver found."""
-    accelerations = _accelerations(now, qacc) if any(one.frame is not None for one in sensors) else []
-    return [_reading(one, now, accelerations) for one in sensors]
+    found = list[Vector]()
+    if any(one.frame is not None for one in sensors):
+        # As if it fell without gravity.
+        found = accelerations(now.tree, now.moving, now.qvel, qacc, scale(now.tree.gravity, -1.0))
+    return [_reading(one, now, found) for one in sensors]
 
 
-def _reading(sensor: ForceSensor, now: Instant, accelerations: Sequence[Vector]) -> Vector:
+def _reading(sensor: ForceSensor, now: Instant, of_bodies: Sequence[Vector]) -> Vector:
     if sensor.frame is None:
         of = now.done.on_dofs if sensor.kind == _Kind.mjSENS_JOINTACTFRC else now.done.forces
         return [of[sensor.part]]
@@ -92,9 +95,9 @@ def _reading(sensor: ForceSensor, now: Instant, accelerations: Sequence[Vector])
     else:
         place = add(now.at.positions[body], rotate(now.at.rotations[body], sensor.frame.position))
         arm = subtract(place, now.moving.centres[now.tree.bodies[body].root])
-        turn, turning = now.moving.velocities[body][:3], accelerations[body][:3]
+        turn, turning = now.moving.velocities[body][:3], of_bodies[body][:3]
         way = add(now.moving.velocities[body][3:], cross(turn, arm))
-        speeding = add(accelerations[body][3:], cross(turning, arm))
+        speeding = add(of_bodies[body][3:], cross(turning, arm))
     if sensor.kind == _Kind.mjSENS_FRAMEANGACC:
         return turning
     # A spatial acceleration is that of what passes through a place; this is that of the body itself.
@@ -103,17 +106,3 @@ def _reading(sensor: ForceSensor, now: Instant, accelerations: Sequence[Vector])
         return speeding
     own = product(now.at.rotations[body], rotation_matrix(sensor.frame.quaternion))
     return rotate(transpose(own), speeding)
-
-
-def _accelerations(now: Instant, qacc: Vector) -> list[Vector]:
-    """By body: its spatial acceleration [6] about its tree's centre of mass, MuJoCo's `cacc`, as if it fell
-    without gravity."""
-    found = [[0.0, 0.0, 0.0, *scale(now.tree.gravity, -1.0)]]
-    for number, body in list(enumerate(now.tree.bodies))[1:]:
-        acceleration = found[body.parent]
-        for i, dof in enumerate(now.tree.dofs):
-            if dof.body == number:
-                acceleration = add(acceleration, scale(now.moving.axis_rates[i], now.qvel[i]))
-                acceleration = add(acceleration, scale(now.moving.axes[i], qacc[i]))
-        found.append(acceleration)
-    return found

@@ -4,14 +4,14 @@ Source: MuJoCo's documentation, Computation, "Actuation model".
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import exp
 
 import mujoco
 import numpy as np
 
 from mujoco_compiled.fields import NOMINAL, Fields, Own, is_zero
-from mujoco_compiled.program.arithmetic import Number, Vector, clip, maximum, select
+from mujoco_compiled.program.arithmetic import Number, Vector, absolute, clip, maximum, select, total
 from mujoco_compiled.smooth.delays import Late, read_late
 from mujoco_compiled.smooth.muscles import (
     Muscle,
@@ -42,11 +42,20 @@ class ActivationConstants:
 
 
 @dataclass(frozen=True)
+class BoundedTendon:
+    """number: of the tendon. range: of the sum of its actuators' forces, in N."""
+
+    number: int
+    range: Range
+
+
+@dataclass(frozen=True)
 class ActuatorConstants:
     """A force along a length: gain · (control or activation) + bias.
 
     gain, bias: three coefficients each, of 1, of the length and of its rate, or a muscle's. control_range,
-    force_range: None without bounds. late: None without a delay.
+    force_range: None without bounds. late: None without a delay. pulls: the tendon that bounds the forces of
+    all of its actuators together.
     """
 
     path: ActuatorPath
@@ -56,6 +65,7 @@ class ActuatorConstants:
     control_range: Range | None
     force_range: Range | None
     late: Late | None
+    pulls: BoundedTendon | None
 
 
 @dataclass(frozen=True)
@@ -114,10 +124,20 @@ def driven(
 ) -> Driven:
     """The actuators in a timestep."""
     found = Driven([], [0.0] * len(state.qvel), list(state.act), [], list(state.history))
+    found.forces.extend([0.0] * len(actuators))
     if not actuators:
         return found
-    for actuator, stretched, control in zip(actuators, state.stretches, state.ctrl, strict=True):
-        _drive(actuator, stretched, control, state, timestep, found)
+    bounded: dict[BoundedTendon, list[_Pull]] = {}
+    for number, (actuator, control) in enumerate(zip(actuators, state.ctrl, strict=True)):
+        pull = _pull(actuator, number, control, state, timestep, found)
+        if actuator.pulls is None:
+            _apply(pull, found)
+        else:
+            bounded.setdefault(actuator.pulls, []).append(pull)
+    for tendon, pulls in bounded.items():
+        share = _share_left([pull.force for pull in pulls], tendon.range)
+        for pull in pulls:
+            _apply(replace(pull, force=pull.force * share), found)
     for i, dof in enumerate(tree.dofs):
         if dof.holds_weight and state.held:
             found.on_dofs[i] = found.on_dofs[i] + state.held[i]
@@ -126,15 +146,27 @@ def driven(
     return found
 
 
-def _drive(
+@dataclass(frozen=True)
+class _Pull:
+    """What an actuator does before its own bounds. slope: how the force changes with the rate."""
+
+    actuator: ActuatorConstants
+    number: int
+    stretched: Stretch
+    force: Number
+    slope: Number
+
+
+def _pull(
     actuator: ActuatorConstants,
-    stretched: Stretch,
+    number: int,
     control: Number,
     state: ActuatorState,
     timestep: float,
     found: Driven,
-) -> None:
-    """Add what one actuator does."""
+) -> _Pull:
+    """Puts the activation and the control to what was found (changed)."""
+    stretched = state.stretches[number]
     length, rate = stretched.length, stretched.rate(state.qvel)
     if actuator.late is not None:
         actuator.late.remember(found.history, control)
@@ -156,14 +188,27 @@ def _drive(
         else _affine(actuator.bias, length, rate)
     )
     force, slope = gain * wanted + bias, bias_slope + gain_slope * wanted
-    if actuator.force_range:
-        low, high = actuator.force_range
+    return _Pull(actuator, number, stretched, force, slope)
+
+
+def _share_left(forces: Vector, bounds: Range) -> Number:
+    """What is left of each force where their sum is beyond bounds."""
+    whole, (low, high) = total(forces), bounds
+    inverse = 1.0 / select(absolute(whole) > 0.0, whole, 1.0)
+    return select(whole < low, low * inverse, select(high < whole, high * inverse, 1.0))
+
+
+def _apply(pull: _Pull, found: Driven) -> None:
+    """Adds the force (changed)."""
+    force, slope = pull.force, pull.slope
+    if pull.actuator.force_range:
+        low, high = pull.actuator.force_range
         if not is_zero(slope):
             slope = select((low < force) & (force < high), slope, 0.0)
         force = clip(force, low, high)
-    found.forces.append(force)
-    found.slopes.append((stretched, slope))
-    for dof, coefficient in stretched.moment.items():
+    found.forces[pull.number] = force
+    found.slopes.append((pull.stretched, slope))
+    for dof, coefficient in pull.stretched.moment.items():
         found.on_dofs[dof] = found.on_dofs[dof] + coefficient * force
 
 
@@ -197,7 +242,16 @@ def _actuator(fields: Fields, number: int, late: Late | None) -> ActuatorConstan
         control_range=_range(model.actuator_ctrlrange[number]) if limits_control else None,
         force_range=(low, high) if model.actuator_forcelimited[number] else None,
         late=late,
+        pulls=_bounded_tendon(model, number),
     )
+
+
+def _bounded_tendon(model: mujoco.MjModel, actuator: int) -> BoundedTendon | None:
+    tendon = int(model.actuator_trnid[actuator, 0])
+    is_bounded = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON and bool(
+        model.tendon_actfrclimited[tendon]
+    )
+    return BoundedTendon(tendon, _range(model.tendon_actfrcrange[tendon])) if is_bounded else None
 
 
 def _gain(fields: Fields, number: int) -> Vector | Muscle:

@@ -93,6 +93,22 @@ def bias_forces(tree: Tree, moving: Motion, qvel: Vector, pushed: Wrenches | Non
     return _along_axes(tree, moving, forces)
 
 
+def accelerations(tree: Tree, moving: Motion, qvel: Vector, qacc: Vector, of_world: Vector) -> list[Vector]:
+    """By body: its spatial acceleration [6] about its tree's centre of mass, MuJoCo's `cacc`.
+
+    of_world: [3], in m/s².
+    """
+    found = [[0.0, 0.0, 0.0, *of_world]]
+    for number, body in list(enumerate(tree.bodies))[1:]:
+        acceleration = found[body.parent]
+        for i, dof in enumerate(tree.dofs):
+            if dof.body == number:
+                acceleration = add(acceleration, scale(moving.axis_rates[i], qvel[i]))
+                acceleration = add(acceleration, scale(moving.axes[i], qacc[i]))
+        found.append(acceleration)
+    return found
+
+
 def projected(tree: Tree, moving: Motion, pushed: Wrenches) -> Vector:
     """[nv]: the forces on the degrees of freedom that forces on bodies make."""
     return _along_axes(tree, moving, [pushed.get(number, _STILL) for number in range(len(tree.bodies))])

@@ -14,6 +14,7 @@ from mujoco_compiled.program.arithmetic import (
     Number,
     Vector,
     add,
+    cross,
     dot,
     maximum,
     product,
@@ -26,6 +27,7 @@ from mujoco_compiled.program.arithmetic import (
     total,
     transpose,
 )
+from mujoco_compiled.smooth.dynamics import accelerations
 from mujoco_compiled.smooth.kinematics import Poses
 from mujoco_compiled.smooth.paths import Posture, Stretch, lever_arms, moved_alone, wrench
 from mujoco_compiled.smooth.wrapping import Obstacle, wrap
@@ -106,6 +108,38 @@ def route_stretch(route: Route, posture: Posture) -> Stretch:
         pull(body, first, _chosen(found.touches, onward, still))
         pull(body, last, _chosen(found.touches, scale(away, -1.0), still))
     return Stretch(total(lengths), lever_arms(route.pulled, posture, wrenches))
+
+
+def route_drift(route: Route, posture: Posture, qvel: Vector) -> Number:
+    """How the length's rate changes where no degree of freedom accelerates, in m/s²; of a route through sites
+    alone."""
+    still: Vector = [0.0] * len(qvel)
+    of_bodies = accelerations(posture.tree, posture.moving, qvel, still, [0.0] * 3)
+    terms = list[Number]()
+    for piece in route.pieces:
+        if piece.start.body == piece.end.body:
+            continue
+        ends = [_moving(posture, point, of_bodies) for point in (piece.start, piece.end)]
+        place, velocity, acceleration = (subtract(last, first) for first, last in zip(*ends, strict=True))
+        length = _length(place)
+        along = scale(place, 1.0 / length)
+        aside = subtract(velocity, scale(along, dot(along, velocity)))
+        terms.append(piece.share * (dot(along, acceleration) + dot(aside, aside) / length))
+    return total(terms)
+
+
+def _moving(posture: Posture, point: Point, of_bodies: list[Vector]) -> tuple[Vector, Vector, Vector]:
+    """A point's place, velocity and acceleration in the world, each [3]. of_bodies: see `accelerations`."""
+    place, still = _place(posture.at, point), [0.0] * 3
+    if not point.body:
+        return place, still, still
+    moving = posture.moving
+    arm = subtract(place, moving.centres[posture.tree.bodies[point.body].root])
+    turn, way = moving.velocities[point.body][:3], moving.velocities[point.body][3:]
+    turning, speeding = of_bodies[point.body][:3], of_bodies[point.body][3:]
+    velocity = add(way, cross(turn, arm))
+    # A spatial acceleration is that of what passes through a place; this is that of the body itself.
+    return place, velocity, add(add(speeding, cross(turning, arm)), cross(turn, velocity))
 
 
 def _pieces(fields: Fields, tendon: int) -> Iterator[Piece]:

@@ -23,7 +23,7 @@ from mujoco_compiled.smooth.paths import (
     Stretch,
     stretch,
 )
-from mujoco_compiled.smooth.routes import Route, read_route, route_stretch
+from mujoco_compiled.smooth.routes import Route, read_route, route_drift, route_stretch
 from mujoco_compiled.smooth.tree import Range, acts, law
 
 
@@ -96,6 +96,17 @@ def with_armature(tendons: Sequence[Tendon], stretches: Sequence[Stretch], mass:
     for tendon, stretched in zip(tendons, stretches, strict=True):
         if tendon.armature:
             add_outer(found, stretched.moment, tendon.armature)
+    return found
+
+
+def armature_forces(tendons: Sequence[Tendon], posture: Posture, qvel: Vector) -> Coefficients:
+    """By degree of freedom: the tendons' part of `qfrc_bias`, as the moment arms of spatial ones change."""
+    found: Coefficients = {}
+    for tendon, stretched in zip(tendons, posture.tendons, strict=True):
+        if tendon.armature and isinstance(tendon.path, Route):
+            force = tendon.armature * route_drift(tendon.path, posture, qvel)
+            for dof, coefficient in stretched.moment.items():
+                found[dof] = found.get(dof, 0.0) + coefficient * force
     return found
 
 

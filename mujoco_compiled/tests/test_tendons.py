@@ -47,9 +47,9 @@ STRINGS = """
     </body>
   </worldbody>
   <tendon>
-    <spatial name="straight" stiffness="20" damping="1" springlength="0.5 0.9">
+    <spatial name="straight" stiffness="20" damping="1" springlength="0.5 0.9" armature="0.3">
       <site site="wall"/><site site="a"/><site site="b"/><site site="c"/><site site="e"/></spatial>
-    <spatial name="pulley" range="0.2 0.8" solreflimit="0.01 1">
+    <spatial name="pulley" range="0.2 0.8" solreflimit="0.01 1" armature="0.7">
       <site site="a"/><site site="c"/><pulley divisor="2"/><site site="b"/><site site="d"/>
       <pulley divisor="3"/><site site="wall"/><site site="e"/></spatial>
     <spatial name="round" frictionloss="0.5"><site site="a"/><geom geom="ball"/><site site="c"/></spatial>
