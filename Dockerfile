@@ -63,12 +63,12 @@ RUN python -m uv venv /opt/gaitway \
 
 FROM dependencies AS dependencies-api
 RUN --mount=type=cache,target=/var/cache/uv \
-    python -m uv sync --frozen --no-install-project --no-default-groups --extra api --extra cli
+    python -m uv sync --frozen --no-install-project --no-default-groups --extra api --extra cli --extra news
 
 FROM dependencies AS dependencies-worker
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
-    --extra worker --extra compiled --extra sweeps \
+    --extra worker --extra compiled --extra news --extra sweeps \
     --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli \
     --group robots \
     && /usr/local/bin/slim

@@ -323,6 +323,39 @@ class ProjectExists(Conflict):
         super().__init__(f"There is a project {name!r} already.", project=name)
 
 
+class WebhookNotFound(NotFound):
+    code = "webhook-not-found"
+    title = "No such webhook"
+
+    def __init__(self, project: str, name: str) -> None:
+        super().__init__(f"The project {project} has no webhook {name!r}.", project=project, webhook=name)
+
+
+class WebhookExists(Conflict):
+    code = "webhook-exists"
+    title = "The webhook exists already"
+
+    def __init__(self, project: str, name: str) -> None:
+        super().__init__(
+            f"The project {project} has a webhook {name!r} already: delete it first, or take another name.",
+            project=project,
+            webhook=name,
+        )
+
+
+class TooManyWebhooks(Conflict):
+    code = "too-many-webhooks"
+    title = "The project has too many webhooks"
+
+    def __init__(self, project: str, most: int) -> None:
+        super().__init__(
+            f"The project {project} has {most} webhooks, the most that a project may have: delete some by "
+            "`gaitway webhooks delete NAME`.",
+            project=project,
+            most=most,
+        )
+
+
 class LastAdmin(Conflict):
     code = "last-admin"
     title = "No admin would be left"

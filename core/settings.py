@@ -9,7 +9,7 @@ StoreSettings            what every process needs: where the record, the queue a
 import json
 import ssl
 from datetime import timedelta
-from ipaddress import ip_address
+from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 from urllib.parse import quote, urlsplit
@@ -68,6 +68,15 @@ def _database_address(value: SecretStr) -> SecretStr:
     return value
 
 
+def _networks(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    try:
+        return tuple(ip_network(part.strip()) for part in value.split(",") if part.strip())
+    except ValueError as error:
+        raise ValueError(f"write networks like 10.1.0.0/16, separated by commas ({error})") from None
+
+
 def _authorities(value: Path) -> Path:
     try:
         ssl.create_default_context(cafile=value)
@@ -87,6 +96,16 @@ Address = Annotated[str, Field(min_length=1), AfterValidator(_address)]
 RedisAddress = Annotated[SecretStr, AfterValidator(_redis_address)]
 DatabaseAddress = Annotated[SecretStr, AfterValidator(_database_address)]
 Authorities = Annotated[Path, AfterValidator(_authorities)]
+Networks = tuple[IPv4Network | IPv6Network, ...]
+NewsNetworks = Annotated[
+    Networks,
+    NoDecode,
+    BeforeValidator(_networks),
+    Field(
+        description="Private networks to which webhooks may send, separated by commas, such as "
+        "`10.1.0.0/16,127.0.0.1/32`. Public addresses are always allowed. Set it for API and reconciler."
+    ),
+]
 AliveFile = Annotated[
     Path | None,
     Field(
@@ -234,6 +253,7 @@ class ApiSettings(StoreSettings):
         description="How many requests a second one user may make in each process, with all tokens together, "
         "on average over ten seconds; further ones are answered 429, with the time to wait.",
     )
+    news_networks: NewsNetworks = ()
     worker_database_url: WorkerDatabase = None
     worker_redis_url: RedisAddress | None = Field(
         None,
@@ -477,6 +497,7 @@ class ReconcilerSettings(StoreSettings):
     """The settings of `python -m worker.reconciler`."""
 
     alive_file: AliveFile = None
+    news_networks: NewsNetworks = ()
     worker_database_url: WorkerDatabase = None
     lease: Lease = timedelta(seconds=14)
     reconcile_every: Seconds = Field(timedelta(seconds=1), description="Time between two checks of all jobs.")

@@ -1,4 +1,5 @@
-"""The reconciler process: unfinished jobs and feeds every second, the rest every hour. Composition root.
+"""The reconciler process: unfinished jobs and feeds every second, the rest every hour; it sends news, too.
+Composition root.
 
 When it starts, it also creates the database's tables or brings them up to date.
 """
@@ -27,6 +28,7 @@ from core.sweeps.controller import SweepController
 from core.telemetry import configure_logging
 from core.user_models import library
 from worker.host.health import show_life
+from worker.news import Post, Sender
 
 log = structlog.get_logger()
 
@@ -123,7 +125,12 @@ def main() -> None:
     # In a thread: a silent object store delays a chore by a minute, and leases must be watched all the time.
     patient = threading.Thread(target=_go_on, args=(others, pause_s), name="chores", daemon=True)
     patient.start()
-    while patient.is_alive():  # It ends only because of a bug; the log has the traceback.
+    sender = Sender(job_store(settings), Post(settings.news_networks))
+    # In another: a webhook must not wait for a chore.
+    news = threading.Thread(target=sender.run, name="news", daemon=True)
+    news.start()
+    # One of them ends only because of a bug; the log has the traceback.
+    while patient.is_alive() and news.is_alive():
         urgent.do_if_due()
         show_life(settings.alive_file)
         time.sleep(pause_s)

@@ -19,6 +19,7 @@ from core.algorithms.catalog import ALGORITHMS, DEFAULT_ALGORITHM, AlgorithmSpec
 from core.bounds import LONGEST_NAME, MOST_ITEMS, FreeOptions, PastStep
 from core.documents import Strict
 from core.environments.randomization import Randomizations
+from core.news.webhook import MAX_WEBHOOKS, WebhookName
 from core.physics.availability import PhysicsChoice
 from core.rendering.layout import Layout
 from core.rendering.request import Overlay
@@ -261,6 +262,12 @@ class _Common(Strict):
         description="Seconds an attempt may take.",
     )
     max_attempts: int = Field(default=3, ge=1, le=100, description="Attempts allowed when workers are lost.")
+    notify: list[WebhookName] = Field(
+        default=[],
+        max_length=MAX_WEBHOOKS,
+        description="Webhooks of its project that are told of this job, whatever jobs they are for.",
+        examples=[["lab-chat"]],
+    )
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
 from core.jobs.usage import UsageStore
 from core.jobs.workers import WorkerStore
+from core.news.store import NewsStore
 from core.user_models.record import ModelStore
 
 # Metrics are a feed of their own, with numbers among those of the events, which are read with them.
@@ -184,7 +185,7 @@ class Mark:
     num_logs: int
 
 
-class JobStore(ModelStore, UsageStore, WorkerStore, Protocol):
+class JobStore(ModelStore, NewsStore, UsageStore, WorkerStore, Protocol):
     """The record. Every method raises RecordsUnavailable when the store cannot be reached.
 
     Each write is one transaction. `save` is a compare-and-set on the version; `renew` and `record` carry an
@@ -400,7 +401,7 @@ class JobStore(ModelStore, UsageStore, WorkerStore, Protocol):
         ...
 
     def tidy(self) -> None:
-        """Forget expired idempotency keys and workers."""
+        """Forget expired idempotency keys and workers, and deliveries that ended long ago."""
         ...
 
     def ping(self) -> None:

@@ -32,6 +32,8 @@ from core.jobs.metrics import Block
 from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
 from core.jobs.spec import CheckpointPolicy, EnvironmentSpec, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import Chunk, Dispatch, Entry, Idempotency, JobStore
+from core.news.store import NewsStore
+from core.news.webhook import named_unknown
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models import library
@@ -60,6 +62,7 @@ def submit(  # noqa: PLR0913 # All but the specification are named.
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
         return known
+    check_notify(spec, ownership.project, store)
     try:
         job = store.add(new_job(spec, store, ownership, readable, correlation_id), idempotency)
     except JobNotFound:  # The job whose checkpoint it needs was deleted between the check and this.
@@ -95,6 +98,23 @@ def new_job(
         project=ownership.project,
         correlation_id=correlation_id,
     )
+
+
+def check_notify(spec: JobSpec, project: str, store: NewsStore) -> None:
+    """Refuse names in `notify` that no webhook of the project has.
+
+    For submissions alone: a trial of a sweep begins without a webhook that was deleted meanwhile.
+    """
+    if not spec.notify:
+        return
+    known = [webhook.name for webhook in store.webhooks(project)]
+    have = f"It has: {', '.join(known)}." if known else "It has none: `gaitway webhooks add` makes one."
+    problems = [
+        Problem(f"/notify/{place}", f"The project {project} has no webhook {spec.notify[place]!r}. {have}")
+        for place in named_unknown(spec.notify, known)
+    ]
+    if problems:
+        raise Rejected(problems[0].detail, problems)
 
 
 def check_readable_source(spec: JobSpec, readable: Collection[str] | None, store: JobStore) -> None:

@@ -11,7 +11,7 @@ from core.errors import Problem, Rejected, StaleSweep, SweepFinished, SweepNotFi
 from core.jobs.job import new_job_id
 from core.jobs.spec import JobSpec
 from core.jobs.store import Idempotency
-from core.jobs.submission import check_readable_model, check_readable_source
+from core.jobs.submission import check_notify, check_readable_model, check_readable_source
 from core.sweeps.axes import axis_place, job_of
 from core.sweeps.checks import check_budget, checked, in_the_job
 from core.sweeps.spec import Budget, Range, SweepSpec
@@ -38,6 +38,10 @@ def submit_sweep(
     nobody is there to ask. Raises Rejected, TooManySweeps, IdempotencyKeyReused, RecordsUnavailable.
     """
     _check_readable(spec, readable_by(ownership), store)
+    try:
+        check_notify(spec.job, ownership.project, store)
+    except Rejected as error:
+        raise in_the_job(error) from None
     spec = checked(spec, store)
     now = store.now()
     sweep = Sweep(

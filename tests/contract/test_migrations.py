@@ -12,6 +12,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
+from pydantic import SecretStr
 from sqlalchemy import Engine, inspect, text
 
 from core.accounts.principal import NOBODYS, Role, TokenScope
@@ -26,6 +27,7 @@ from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, Idempotency
 from core.jobs.tallies import Tally
+from core.news.webhook import Webhook
 from core.reasons import Reason
 from tests.conftest import Databases
 from tests.contract.recording import (
@@ -127,8 +129,19 @@ def fill(engine: Engine) -> Job:
     sweep = jobs.add_sweep(sweep_of(), Idempotency("k", "body"))
     jobs.add_trial(sweep.id, trial_of(0, job=None), None)
     jobs.add_tallies([Tally("series", ("label",), (1, 2), 3.0)])
+    _tell_a_webhook(jobs)
     jobs.save(held(jobs, queued_job(3)).ended(JobStatus.FAILED, Reason.DIVERGED, "", NOW))
     return published
+
+
+def _tell_a_webhook(jobs: PostgresJobStore) -> None:
+    if not jobs.webhooks("default"):
+        url = SecretStr("https://hooks.example")
+        hook = Webhook(
+            project="default", name="hook", url=url, events=("job.started",), jobs="all", created_at=NOW
+        )
+        jobs.add_webhook(hook, Actor())
+    jobs.spread_news()
 
 
 def test_from_nothing_they_make_exactly_what_the_code_expects(empty: Engine, another: Engine) -> None:

@@ -121,7 +121,7 @@ class AccountQueries(Session):
             _find_user(connection, session.user)
             connection.execute(delete(sessions).where(sessions.c.expires_at <= NOW))
             connection.execute(new)
-            _note(connection, actor, "session.begun", f"user {session.user}", scope=session.scope)
+            note_audit(connection, actor, "session.begun", f"user {session.user}", scope=session.scope)
 
     def find_session(self, session_id: str, idle: timedelta) -> KnownSession | None:
         its = sessions.c.id == session_id
@@ -145,7 +145,7 @@ class AccountQueries(Session):
         ended = delete(sessions).where(sessions.c.id == session_id).returning(sessions.c.user_name)
         with self._transaction() as connection:
             if (row := connection.execute(ended).first()) is not None:
-                _note(connection, actor, "session.ended", f"user {row.user_name}")
+                note_audit(connection, actor, "session.ended", f"user {row.user_name}")
 
     def add_user(self, user: User, actor: Actor) -> User:
         values = {"name": user.name, "role": user.role.value, "active": user.active, "subject": user.subject}
@@ -154,9 +154,9 @@ class AccountQueries(Session):
             if connection.execute(new.returning(users.c.name)).first() is None:
                 raise UserExists(user.name)
             for project in user.projects:
-                _require_project(connection, project)
+                require_project(connection, project)
                 connection.execute(insert(members).values(project=project, user_name=user.name))
-            _note(
+            note_audit(
                 connection, actor, "user.added", f"user {user.name}", role=user.role, projects=user.projects
             )
             return _find_user(connection, user.name)
@@ -195,7 +195,7 @@ class AccountQueries(Session):
                 connection.execute(update(users).where(users.c.name == name).values(**changes))
                 if active is False or subject not in (None, before.subject):
                     connection.execute(delete(sessions).where(sessions.c.user_name == name))
-                _note(connection, actor, "user.changed", f"user {name}", **changes)
+                note_audit(connection, actor, "user.changed", f"user {name}", **changes)
             return _find_user(connection, name)
 
     def admit(self, grant: Grant, actor: Actor) -> User:
@@ -215,7 +215,9 @@ class AccountQueries(Session):
             user = _find_user(connection, grant.name if row is None else row.name)
             actor = replace(actor, user=user.name)
             if is_new:
-                _note(connection, actor, "user.added", f"user {user.name}", role=grant.role, by="provider")
+                note_audit(
+                    connection, actor, "user.added", f"user {user.name}", role=grant.role, by="provider"
+                )
             if user.active:
                 _adjust(connection, user, grant, actor, is_new=is_new)
             return _find_user(connection, user.name)
@@ -226,7 +228,7 @@ class AccountQueries(Session):
         with self._transaction() as connection:
             if connection.execute(new).first() is None:
                 raise ProjectExists(name)
-            _note(connection, actor, "project.added", f"project {name}")
+            note_audit(connection, actor, "project.added", f"project {name}")
             return _find_project(connection, name)
 
     def projects(self) -> Sequence[Project]:
@@ -237,7 +239,7 @@ class AccountQueries(Session):
         self, project: str, actor: Actor, *, add: Sequence[str] = (), remove: Sequence[str] = ()
     ) -> Project:
         with self._transaction() as connection:
-            _require_project(connection, project)
+            require_project(connection, project)
             for name in (*add, *remove):
                 _find_user(connection, name)
             for name in add:
@@ -245,7 +247,7 @@ class AccountQueries(Session):
                 connection.execute(new.on_conflict_do_nothing())
             gone = delete(members).where(members.c.project == project, members.c.user_name.in_(remove))
             connection.execute(gone)
-            _note(connection, actor, "project.members", f"project {project}", added=add, removed=remove)
+            note_audit(connection, actor, "project.members", f"project {project}", added=add, removed=remove)
             return _find_project(connection, project)
 
     def add_token(self, token: Token, secret: Secret, actor: Actor) -> Token:
@@ -260,7 +262,7 @@ class AccountQueries(Session):
             if connection.execute(_VALID_TOKENS.where(_belongs_to(token.user))).scalar_one() >= MAX_TOKENS:
                 raise TooManyTokens(token.user, MAX_TOKENS)
             connection.execute(new)
-            _note(
+            note_audit(
                 connection,
                 actor,
                 "token.created",
@@ -287,7 +289,7 @@ class AccountQueries(Session):
                 raise TokenNotFound(token_id[:64])
             if is_new:
                 connection.execute(delete(sessions).where(sessions.c.token == token_id))
-                _note(connection, actor, "token.revoked", f"token {token_id}", user=row.user)
+                note_audit(connection, actor, "token.revoked", f"token {token_id}", user=row.user)
             return _token(row)
 
     def note(self, entries: Sequence[AuditEntry]) -> None:
@@ -313,7 +315,7 @@ class AccountQueries(Session):
         if object is not None:
             wanted = wanted.where(audit.c.object == object)
         if cursor is not None:
-            wanted = wanted.where(audit.c.id < _checked(cursor))
+            wanted = wanted.where(audit.c.id < checked_cursor(cursor))
         with self._statements() as connection:
             found = [_entry(row) for row in connection.execute(wanted)]
         return AuditPage(found[:limit], str(found[limit - 1].id) if len(found) > limit else None)
@@ -330,11 +332,11 @@ def _adjust(connection: Connection, user: User, grant: Grant, actor: Actor, *, i
     is_last_admin = user.role is Role.ADMIN and not connection.execute(others).first()
     if grant.role is not user.role and not is_last_admin:
         connection.execute(update(users).where(users.c.name == user.name).values(role=grant.role.value))
-        _note(connection, actor, "user.changed", f"user {user.name}", role=grant.role, by="provider")
+        note_audit(connection, actor, "user.changed", f"user {user.name}", role=grant.role, by="provider")
     for project in sorted(grant.projects.difference(user.projects)):
         made = insert(projects).values(name=project, created_at=NOW).on_conflict_do_nothing()
         if connection.execute(made.returning(projects.c.name)).first() is not None:
-            _note(connection, actor, "project.added", f"project {project}", by="provider")
+            note_audit(connection, actor, "project.added", f"project {project}", by="provider")
         entered = insert(members).values(project=project, user_name=user.name).on_conflict_do_nothing()
         connection.execute(entered)
         _note_members(connection, actor, project, added=[user.name])
@@ -353,7 +355,7 @@ def _note_members(
     removed: Sequence[str] = (),
 ) -> None:
     details = {"added": added, "removed": removed, "by": "provider"}
-    _note(connection, actor, "project.members", f"project {project}", **details)
+    note_audit(connection, actor, "project.members", f"project {project}", **details)
 
 
 def _check_subject(connection: Connection, name: str, subject: str) -> None:
@@ -374,7 +376,7 @@ def _find_user(connection: Connection, name: str) -> User:
     return _user(row)
 
 
-def _require_project(connection: Connection, name: str) -> None:
+def require_project(connection: Connection, name: str) -> None:
     if connection.execute(select(projects.c.name).where(projects.c.name == name)).first() is None:
         raise ProjectNotFound(name[:64])
 
@@ -403,7 +405,7 @@ def _mapping(row: Row[Any]) -> dict[str, Any]:
     return dict(row._mapping)  # pyright: ignore[reportPrivateUsage] # Public, by SQLAlchemy's documentation.
 
 
-def _note(connection: Connection, actor: Actor, action: str, about: str, **details: Any) -> None:
+def note_audit(connection: Connection, actor: Actor, action: str, about: str, **details: Any) -> None:
     told = {name: value for name, value in details.items() if value not in (None, (), [])}
     entry = AuditEntry(
         user=actor.user,
@@ -427,7 +429,7 @@ def _values(entry: AuditEntry) -> dict[str, Any]:
     }
 
 
-def _checked(cursor: str) -> int:
+def checked_cursor(cursor: str) -> int:
     if not (cursor.isascii() and cursor.isdigit() and len(cursor) <= 18):
         sentence = "The cursor is not one that this listing gave; leave it out to begin with the first page."
         raise Rejected(sentence, [Problem("/cursor", sentence)])

@@ -24,7 +24,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.exc import DataError, IntegrityError
 
 from core.accounts.principal import Ownership
-from core.adapters.postgres import feeds, leases, listing, rows, usage
+from core.adapters.postgres import feeds, leases, listing, news, rows, usage
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.tables import (
     NOW,
@@ -287,6 +287,7 @@ def _save(
         leases.update_dispatch(connection, job)
     if before.status != job.status:
         usage.enter(connection, job, rows.status(before.status))
+        news.enter(connection, job, rows.status(before.status))
 
 
 def _write_attempts(connection: Connection, job_id: str, changed: Sequence[Attempt]) -> None:

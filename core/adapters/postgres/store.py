@@ -10,6 +10,7 @@ from core.adapters.postgres.feeds import FeedQueries
 from core.adapters.postgres.jobs import JobQueries
 from core.adapters.postgres.leases import LeaseQueries
 from core.adapters.postgres.models import ModelQueries
+from core.adapters.postgres.news import NewsQueries, forget_old
 from core.adapters.postgres.sweeps import SweepQueries
 from core.adapters.postgres.tables import NOW, idempotency_keys, pulse, workers
 from core.adapters.postgres.usage import UsageQueries, fold
@@ -25,6 +26,7 @@ class PostgresJobStore(
     LeaseQueries,
     FeedQueries,
     ModelQueries,
+    NewsQueries,
     SweepQueries,
     UsageQueries,
     WorkerQueries,
@@ -53,6 +55,7 @@ class PostgresJobStore(
         with self._transaction() as connection:
             connection.execute(delete(idempotency_keys).where(idempotency_keys.c.forgotten_at <= NOW))
             connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
+            forget_old(connection)
             fold(connection)
 
     def ping(self) -> None:

@@ -21,6 +21,9 @@ model_projects   the projects in which a model was sent, each with who sent it t
 tokens      API tokens, by a public id and the hash of the whole
 sessions    who is signed in on the page, as tokens
 audit       what was done; a trigger forbids to change or remove a row
+webhooks    whom a project's news is sent to, with the secret of each
+news        messages about jobs, until there is a delivery of each for every webhook that wants it
+deliveries  messages for one webhook each, and what came of them, for a week
 
 Documents are JSON stored as text: PostgreSQL's JSON types refuse the character U+0000, which a log may hold.
 Labels are JSONB, for their index.
@@ -35,6 +38,7 @@ from sqlalchemy import (
     Column,
     Double,
     ForeignKey,
+    ForeignKeyConstraint,
     Identity,
     Index,
     Integer,
@@ -373,3 +377,66 @@ audit = Table(
 )
 Index("audit_by_user", audit.c.user_name, audit.c.id)
 Index("audit_by_object", audit.c.object, audit.c.id)
+
+webhooks = Table(
+    "webhooks",
+    metadata,
+    Column[Any]("project", ForeignKey(projects.c.name), primary_key=True),
+    Column("name", Text, primary_key=True),
+    Column[Any]("owner", ForeignKey(users.c.name)),
+    Column("url", Text, nullable=False),
+    Column("events", ARRAY(Text), nullable=False),
+    Column("jobs", Text, nullable=False),
+    Column("secret", Text),
+    _moment("created_at", nullable=False),
+    Column("stopped", Text),
+)
+
+news = Table(
+    "news",
+    metadata,
+    Column("id", Text, primary_key=True),
+    Column("event", Text, nullable=False),
+    Column("project", Text, nullable=False),
+    Column("owner", Text),
+    Column("job", Text),
+    Column("notify", ARRAY(Text), nullable=False),
+    Column("document", Text, nullable=False),
+    _moment("created_at", nullable=False),
+)
+
+deliveries = Table(
+    "deliveries",
+    metadata,
+    Column("id", BigInteger, Identity(always=True), primary_key=True),
+    Column("project", Text, nullable=False),
+    Column("webhook", Text, nullable=False),
+    Column("message", Text, nullable=False),
+    Column("event", Text, nullable=False),
+    Column("job", Text),
+    Column("document", Text, nullable=False),
+    Column("status", Text, nullable=False, server_default="waiting"),
+    Column("attempts", Integer, nullable=False, server_default="0"),
+    _moment("created_at", nullable=False),
+    # When it is tried next; while a sender tries it, when that one is taken for dead.
+    _moment("next_attempt_at"),
+    _moment("ended_at"),
+    Column("answer", Integer),
+    Column("error", Text),
+    ForeignKeyConstraint(
+        ["project", "webhook"],
+        ["webhooks.project", "webhooks.name"],
+        name="deliveries_webhook",
+        ondelete="CASCADE",
+    ),
+)
+Index("deliveries_by_webhook", deliveries.c.project, deliveries.c.webhook, deliveries.c.id)
+Index("deliveries_by_job", deliveries.c.job, deliveries.c.id, postgresql_where=deliveries.c.job.isnot(None))
+_IS_WAITING = text("status = 'waiting'")
+Index(
+    "deliveries_due",
+    deliveries.c.project,
+    deliveries.c.webhook,
+    deliveries.c.next_attempt_at,
+    postgresql_where=_IS_WAITING,
+)

@@ -26,6 +26,7 @@ RIGHTS = {
     "models": "SELECT, UPDATE",
     "workers": _ALL,
     "pulse": "SELECT",
+    "news": "INSERT",
     "usage": "SELECT, INSERT, UPDATE",
 }
 

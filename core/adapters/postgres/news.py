@@ -1,0 +1,262 @@
+"""Webhooks, news and deliveries.
+
+News is written with the change of a job (`enter`). A sender's two steps are one transaction each: it makes
+deliveries of news, and it claims those that are due. A claim only sets the time of the next try: that of a
+sender that dies runs out, and then another one sends again.
+"""
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from sqlalchemy import (
+    Connection,
+    Row,
+    and_,
+    delete,
+    exists,
+    func,
+    not_,
+    or_,
+    select,
+    true,
+    tuple_,
+    update,
+)
+from sqlalchemy.dialects.postgresql import insert
+
+from core.accounts.principal import Role
+from core.accounts.store import Actor
+from core.adapters.postgres.accounts import checked_cursor, note_audit, require_project
+from core.adapters.postgres.engine import Session
+from core.adapters.postgres.rows import columns, interval, words
+from core.adapters.postgres.tables import NOW, deliveries, members, news, projects, users, webhooks
+from core.errors import TooManyWebhooks, WebhookExists, WebhookNotFound
+from core.jobs.job import Job
+from core.jobs.news import news_of
+from core.jobs.status import JobStatus
+from core.news.store import DeliveryPage
+from core.news.webhook import (
+    CLAIM,
+    KEPT,
+    MAX_WEBHOOKS,
+    Delivery,
+    Due,
+    News,
+    Outcome,
+    Webhook,
+    pause_after,
+    wants,
+)
+
+# Of one webhook: while its receiver hangs, the others are served.
+_AT_ONCE = 4
+_SHOWN = [column for column in deliveries.c if column.name not in ("document", "project")]
+_IS_DUE = and_(deliveries.c.status == "waiting", deliveries.c.next_attempt_at <= NOW)
+_TELLS = or_(
+    webhooks.c.owner.is_(None),
+    exists().where(
+        users.c.name == webhooks.c.owner,
+        users.c.active,
+        or_(
+            users.c.role == Role.ADMIN.value,
+            exists().where(members.c.user_name == users.c.name, members.c.project == webhooks.c.project),
+        ),
+    ),
+)
+
+
+class NewsQueries(Session):
+    """The part of a JobStore that has webhooks and what they are told."""
+
+    def add_webhook(self, webhook: Webhook, actor: Actor) -> Webhook:
+        values = webhook.model_dump(exclude={"url", "secret"})
+        values["url"] = webhook.url.get_secret_value()
+        values["secret"] = None if webhook.secret is None else webhook.secret.get_secret_value()
+        new = insert(webhooks).values(values).on_conflict_do_nothing(index_elements=["project", "name"])
+        its = webhooks.c.project == webhook.project
+        with self._transaction() as connection:
+            require_project(connection, webhook.project)
+            # Two that are added at once come one after the other.
+            connection.execute(
+                select(projects.c.name).where(projects.c.name == webhook.project).with_for_update()
+            )
+            number = connection.execute(select(func.count()).select_from(webhooks).where(its)).scalar_one()
+            if number >= MAX_WEBHOOKS:
+                raise TooManyWebhooks(webhook.project, MAX_WEBHOOKS)
+            if connection.execute(new.returning(webhooks.c.name)).first() is None:
+                raise WebhookExists(webhook.project, webhook.name)
+            note_audit(
+                connection,
+                actor,
+                "webhook.added",
+                f"project {webhook.project}",
+                webhook=webhook.name,
+                events=webhook.events,
+                jobs=webhook.jobs,
+            )
+        return webhook
+
+    def webhooks(self, project: str) -> Sequence[Webhook]:
+        wanted = select(webhooks).where(webhooks.c.project == project).order_by(webhooks.c.name)
+        with self._statements() as connection:
+            require_project(connection, project)
+            return [_webhook(row) for row in connection.execute(wanted)]
+
+    def webhook(self, project: str, name: str) -> Webhook:
+        with self._statements() as connection:
+            return _find(connection, project, name)
+
+    def remove_webhook(self, project: str, name: str, actor: Actor) -> None:
+        gone = delete(webhooks).where(_is(project, name)).returning(webhooks.c.name)
+        with self._transaction() as connection:
+            if connection.execute(gone).first() is None:
+                raise WebhookNotFound(project, name)
+            note_audit(connection, actor, "webhook.deleted", f"project {project}", webhook=name)
+
+    def add_test(self, project: str, name: str, news: News) -> Delivery:
+        with self._transaction() as connection:
+            webhook = _find(connection, project, name)
+            values = {**_delivery_values(webhook, news), "created_at": NOW, "next_attempt_at": NOW}
+            added = insert(deliveries).values(values)
+            return _delivery(connection.execute(added.returning(*_SHOWN)).one())
+
+    def deliveries(
+        self,
+        *,
+        project: str | None = None,
+        webhook: str | None = None,
+        job: str | None = None,
+        cursor: str | None = None,
+        limit: int = 50,
+    ) -> DeliveryPage:
+        wanted = select(*_SHOWN).order_by(deliveries.c.id.desc()).limit(limit + 1)
+        for column, value in (("project", project), ("webhook", webhook), ("job", job)):
+            if value is not None:
+                wanted = wanted.where(deliveries.c[column] == value)
+        if cursor is not None:
+            wanted = wanted.where(deliveries.c.id < checked_cursor(cursor))
+        with self._statements() as connection:
+            found = [_delivery(row) for row in connection.execute(wanted)]
+        return DeliveryPage(found[:limit], str(found[limit - 1].id) if len(found) > limit else None)
+
+    def spread_news(self, limit: int = 200) -> int:
+        oldest = select(news).order_by(news.c.created_at).limit(limit).with_for_update(skip_locked=True)
+        with self._transaction() as connection:
+            found = connection.execute(oldest).all()
+            if not found:
+                return 0
+            known = select(webhooks).where(webhooks.c.project.in_({row.project for row in found}), _TELLS)
+            listeners = [_webhook(row) for row in connection.execute(known)]
+            new = [
+                {**_delivery_values(webhook, message), "created_at": row.created_at}
+                for row in found
+                for message in (News.model_validate(columns(row)),)
+                for webhook in listeners
+                if webhook.project == message.project and wants(webhook, message)
+            ]
+            if new:
+                connection.execute(insert(deliveries).values(next_attempt_at=NOW), new)
+            connection.execute(delete(news).where(news.c.id.in_([row.id for row in found])))
+        return len(found)
+
+    def claim_deliveries(
+        self, limit: int, *, is_http: bool, but_not: Collection[tuple[str, str]] = ()
+    ) -> Sequence[Due]:
+        place = (deliveries.c.project == webhooks.c.project) & (deliveries.c.webhook == webhooks.c.name)
+        of_one = select(deliveries.c.id, deliveries.c.next_attempt_at).where(place, _IS_DUE)
+        of_one = of_one.order_by(deliveries.c.next_attempt_at).limit(_AT_ONCE).lateral("of_one")
+        due = select(of_one.c.id).select_from(webhooks.join(of_one, true()))
+        due = due.where(webhooks.c.secret.is_not(None) == is_http).order_by(of_one.c.next_attempt_at)
+        if but_not:
+            due = due.where(not_(tuple_(webhooks.c.project, webhooks.c.name).in_([*but_not])))
+        # Who waits for the lock finds a row that is due no more, and leaves it out.
+        locked = select(deliveries.c.id).where(deliveries.c.id.in_(due.limit(limit)), _IS_DUE)
+        claimed = (
+            update(deliveries)
+            .where(deliveries.c.id.in_(locked.with_for_update(skip_locked=True)), place)
+            .values(next_attempt_at=NOW + CLAIM, attempts=deliveries.c.attempts + 1)
+            .returning(
+                deliveries.c.id.label("delivery"),
+                deliveries.c.attempts,
+                deliveries.c.message,
+                deliveries.c.document,
+                *webhooks.c,
+            )
+        )
+        with self._transaction() as connection:
+            return [_due(row) for row in connection.execute(claimed)]
+
+    def note_outcome(self, due: Due, outcome: Outcome) -> None:
+        pause = None if outcome.error is None or outcome.is_final else pause_after(due.attempt)
+        values: dict[str, Any] = {"answer": outcome.answer, "error": words(outcome.error)}
+        if pause is not None:
+            values["next_attempt_at"] = NOW + interval(pause)
+        else:
+            status = "delivered" if outcome.error is None else "failed"
+            values |= {"status": status, "next_attempt_at": None, "ended_at": NOW}
+        its = and_(deliveries.c.id == due.id, deliveries.c.attempts == due.attempt)
+        with self._transaction() as connection:
+            connection.execute(update(deliveries).where(its, deliveries.c.status == "waiting").values(values))
+            if outcome.stops:
+                _stop(connection, due.webhook, outcome.error)
+
+
+def enter(connection: Connection, job: Job, before: JobStatus) -> None:
+    """Write the news of this change of status, if it is any."""
+    message = news_of(job, before)
+    if message is not None:
+        values = {**message.model_dump(exclude={"notify"}), "notify": [*message.notify]}
+        connection.execute(insert(news).values({**values, "created_at": NOW}))
+
+
+def forget_old(connection: Connection) -> None:
+    """Remove deliveries that ended long ago."""
+    connection.execute(delete(deliveries).where(deliveries.c.ended_at < NOW - KEPT))
+
+
+def _stop(connection: Connection, webhook: Webhook, why: str | None) -> None:
+    """Send this webhook nothing more."""
+    connection.execute(update(webhooks).where(_is(webhook.project, webhook.name)).values(stopped=words(why)))
+    its = and_(deliveries.c.project == webhook.project, deliveries.c.webhook == webhook.name)
+    ended = {"status": "failed", "next_attempt_at": None, "ended_at": NOW, "error": words(why)}
+    connection.execute(update(deliveries).where(its, deliveries.c.status == "waiting").values(ended))
+
+
+def _delivery_values(webhook: Webhook, message: News) -> dict[str, Any]:
+    return {
+        "project": webhook.project,
+        "webhook": webhook.name,
+        "message": message.id,
+        "event": message.event,
+        "job": message.job,
+        "document": message.document,
+    }
+
+
+def _is(project: str, name: str) -> Any:
+    return and_(webhooks.c.project == project, webhooks.c.name == name)
+
+
+def _find(connection: Connection, project: str, name: str) -> Webhook:
+    row = connection.execute(select(webhooks).where(_is(project, name))).first()
+    if row is None:
+        raise WebhookNotFound(project[:64], name[:64])
+    return _webhook(row)
+
+
+def _webhook(row: Row[Any]) -> Webhook:
+    return Webhook.model_validate(columns(row))
+
+
+def _delivery(row: Row[Any]) -> Delivery:
+    return Delivery.model_validate(columns(row))
+
+
+def _due(row: Row[Any]) -> Due:
+    return Due(
+        id=row.delivery,
+        attempt=row.attempts,
+        message=row.message,
+        document=row.document,
+        webhook=_webhook(row),
+    )

@@ -1,0 +1,205 @@
+"""Webhooks of a project, the news that they are told, and the signature on it.
+
+News is a message about a job. It is written in the transaction that changes the job. A sender makes a
+delivery of it for each webhook that wants it, and tries each delivery until it is taken or a day has passed.
+Messages and signatures are those of Standard Webhooks 1.0 (https://www.standardwebhooks.com).
+"""
+
+import base64
+import binascii
+import hashlib
+import hmac
+import random
+import secrets
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from typing import Annotated, Any, Literal
+from urllib.parse import urlsplit
+
+from pydantic import Field, SecretStr
+from pydantic_core import to_json
+
+from core.bounds import ACCOUNT_NAME
+from core.documents import Stored
+
+JobEvent = Literal["job.started", "job.succeeded", "job.failed", "job.cancelled", "job.attempt_lost"]
+JOB_EVENTS: tuple[JobEvent, ...] = (
+    "job.started",
+    "job.succeeded",
+    "job.failed",
+    "job.cancelled",
+    "job.attempt_lost",
+)
+# Those that a webhook is told unless it says otherwise: a job has ended.
+ENDS: tuple[JobEvent, ...] = ("job.succeeded", "job.failed", "job.cancelled")
+TEST = "webhook.test"
+WebhookName = Annotated[str, Field(pattern=f"^{ACCOUNT_NAME}$", examples=["lab-chat"])]
+WhichJobs = Literal["all", "own", "named"]
+DeliveryStatus = Literal["waiting", "delivered", "failed"]
+
+MAX_WEBHOOKS = 20
+# By the specification.
+SHORTEST_SECRET, LONGEST_SECRET = 24, 64
+_PREFIX = "whsec_"
+
+# Between two tries; after the last of them, a day after the first one, a delivery has failed.
+PAUSES = tuple(
+    timedelta(seconds=seconds)
+    for seconds in (5, 30, 120, 600, 1800, 3600, 7200, 14_400, 18_000, 18_000, 22_645)
+)
+# A sender that says nothing for this long after it has claimed a delivery is taken for dead.
+CLAIM = timedelta(seconds=45)
+# How long the log of deliveries reaches back.
+KEPT = timedelta(days=7)
+
+
+class Webhook(Stored):
+    """Whom to tell of what. owner: who made it; None without accounts.
+
+    url: of an HTTP receiver, or an Apprise address; it may hold a password. jobs: all of the project, those
+    of the owner, or those that name it in `notify`. secret: `whsec_…`, which signs messages; None for
+    Apprise. stopped: why nothing is sent any more.
+    """
+
+    project: str
+    name: str
+    owner: str | None = None
+    url: SecretStr
+    events: tuple[str, ...]
+    jobs: WhichJobs
+    secret: SecretStr | None = None
+    created_at: datetime
+    stopped: str | None = None
+
+    @property
+    def is_http(self) -> bool:
+        return urlsplit(self.url.get_secret_value()).scheme in ("http", "https")
+
+
+class News(Stored):
+    """A message. id: of the message, the same at each try. notify: names of webhooks that the job names.
+
+    document: the body as it is sent.
+    """
+
+    id: str
+    event: str
+    project: str
+    owner: str | None = None
+    job: str | None = None
+    notify: tuple[str, ...] = ()
+    document: str
+
+
+class Delivery(Stored):
+    """News for one webhook. attempts: tries so far. answer: the status of the newest HTTP answer.
+
+    next_attempt_at: None once it has ended. error: why the newest try failed.
+    """
+
+    id: int
+    webhook: str
+    message: str
+    event: str
+    job: str | None = None
+    status: DeliveryStatus
+    attempts: int
+    created_at: datetime
+    next_attempt_at: datetime | None = None
+    ended_at: datetime | None = None
+    answer: int | None = None
+    error: str | None = None
+
+
+class Due(Stored):
+    """A delivery that the caller has claimed. attempt: its number, which the outcome must name."""
+
+    id: int
+    attempt: int
+    message: str
+    document: str
+    webhook: Webhook
+
+
+class Outcome(Stored):
+    """How a try ended. error: None for success. is_final: no other try can succeed.
+
+    stops: the receiver wants no more news at all.
+    """
+
+    error: str | None = None
+    answer: int | None = None
+    is_final: bool = False
+    stops: bool = False
+
+
+def new_message(event: str, at: datetime, about: dict[str, Any], **facts: Any) -> News:
+    """News with a fresh id. about: what the body has as `data`."""
+    body = {"type": event, "timestamp": at, "data": about}
+    # PostgreSQL stores no U+0000 as text.
+    document = to_json(body).decode().replace("\\u0000", "\N{REPLACEMENT CHARACTER}")
+    return News(id=f"msg_{secrets.token_hex(12)}", event=event, document=document, **facts)
+
+
+def new_signing_secret() -> SecretStr:
+    return SecretStr(_PREFIX + base64.b64encode(secrets.token_bytes(32)).decode())
+
+
+def check_signing_secret(text: str) -> str:
+    """The same text. Raises ValueError."""
+    size = len(_key(text))
+    if not SHORTEST_SECRET <= size <= LONGEST_SECRET:
+        raise ValueError(
+            f"has {size} bytes after `{_PREFIX}`; {SHORTEST_SECRET} to {LONGEST_SECRET} are allowed"
+        )
+    return text
+
+
+def _key(secret: str) -> bytes:
+    try:
+        if not secret.startswith(_PREFIX):
+            raise ValueError
+        return base64.b64decode(secret.removeprefix(_PREFIX), validate=True)
+    except (ValueError, binascii.Error):
+        raise ValueError(f"must be `{_PREFIX}` and then base64") from None
+
+
+def signed_headers(message: str, at: datetime, body: bytes, secret: str) -> dict[str, str]:
+    """The headers that say who sent the message and when, and prove it."""
+    timestamp = str(int(at.timestamp()))
+    signed = b".".join((message.encode(), timestamp.encode(), body))
+    signature = base64.b64encode(hmac.digest(_key(secret), signed, hashlib.sha256)).decode()
+    return {"webhook-id": message, "webhook-timestamp": timestamp, "webhook-signature": f"v1,{signature}"}
+
+
+def pause_after(attempt: int, share: float | None = None) -> timedelta | None:
+    """The time from this try, counted from 1, to the next; None after the last.
+
+    share: where in the tenth by which pauses are spread; by default at random.
+    """
+    if attempt > len(PAUSES):
+        return None
+    return PAUSES[attempt - 1] * (0.95 + 0.1 * (random.random() if share is None else share))  # noqa: S311
+
+
+def shown_url(url: str) -> str:
+    """The address without what may be a secret: its password, path and query."""
+    parts = urlsplit(url)
+    if parts.scheme not in ("http", "https"):
+        return f"{parts.scheme}://…"
+    place = parts.netloc.rpartition("@")[2]
+    rest = "/…" if parts.path.strip("/") or parts.query else ""
+    return f"{parts.scheme}://{place}{rest}"
+
+
+def wants(webhook: Webhook, news: News) -> bool:
+    """Whether the webhook is told this."""
+    if news.event not in webhook.events or webhook.stopped is not None:
+        return False
+    is_of_its_jobs = webhook.jobs == "all" or (webhook.jobs == "own" and webhook.owner == news.owner)
+    return is_of_its_jobs or webhook.name in news.notify
+
+
+def named_unknown(notify: Sequence[str], known: Sequence[str]) -> list[int]:
+    """The places in `notify` of names that no webhook has."""
+    return [place for place, name in enumerate(notify) if name not in known]
