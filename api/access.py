@@ -17,7 +17,15 @@ from api.dependencies import Service, ServiceDep
 from api.problems import EdgeError
 from core.accounts.principal import ANYONE, SCOPE_FOR, Ownership, Principal, Role, TokenScope, project_for
 from core.accounts.store import Actor
-from core.errors import JobNotFound, ModelNotFound, NotFound, SweepNotFound, Unavailable
+from core.errors import (
+    JobNotFound,
+    ModelNotFound,
+    NotFound,
+    ProjectNotFound,
+    SweepNotFound,
+    Unavailable,
+    WebhookNotFound,
+)
 from core.jobs.store import Whose
 
 
@@ -119,6 +127,13 @@ ROUTES: Mapping[str, Access] = {
     "GET /projects": _READ,
     "POST /projects": _ADMIN,
     "PATCH /projects/{name}": _ADMIN,
+    "GET /projects/{project}/webhooks": _READ,
+    "POST /projects/{project}/webhooks": Access(Role.SUBMITTER),
+    "GET /projects/{project}/webhooks/{webhook}": _READ,
+    "DELETE /projects/{project}/webhooks/{webhook}": Access(Role.SUBMITTER, owns=True),
+    "POST /projects/{project}/webhooks/{webhook}/test": Access(Role.SUBMITTER, owns=True),
+    "GET /projects/{project}/webhooks/{webhook}/deliveries": _READ,
+    "GET /jobs/{job_id}/deliveries": _READ,
     "GET /users": _ADMIN,
     "POST /users": _ADMIN,
     "PATCH /users/{name}": _ADMIN,
@@ -236,6 +251,14 @@ async def _check_owner(access: Access, principal: Principal, request: Request, s
         if not seen:
             raise missing
         _check(access, principal, (own or seen)[0], missing, "The model")
+    elif (project := path.get("project")) is not None:
+        if not principal.sees(project):
+            raise ProjectNotFound(project[:64])
+        if access.owns:
+            webhook = await to_thread.run_sync(service.store.webhook, project, path["webhook"])
+            owner = Ownership(webhook.owner, project)
+            missing = WebhookNotFound(project, webhook.name)
+            _check(access, principal, owner, missing, f"The webhook {webhook.name}")
 
 
 def _check(access: Access, principal: Principal, owner: Ownership, missing: NotFound, what: str) -> None:

@@ -22,6 +22,7 @@ from core.jobs.job import ArtifactRole, JobPhase
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerState
+from core.news.webhook import DeliveryStatus, WhichJobs
 from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.settings import ApiSettings
@@ -33,6 +34,7 @@ _REF = "#/components/schemas/{model}"
 # What `gaitway.schema` names without defining it. Those that are classes become components.
 _VALUES: dict[str, Any] = {
     "ArtifactRole": ArtifactRole,
+    "DeliveryStatus": DeliveryStatus,
     "Description": Description,
     "Device": Device,
     "EngineName": EngineName,
@@ -44,6 +46,7 @@ _VALUES: dict[str, Any] = {
     "Role": Role,
     "SweepStatus": SweepStatus,
     "TokenScope": TokenScope,
+    "WhichJobs": WhichJobs,
     "WorkerState": WorkerState,
 }
 _PROBLEM = {"content": {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}}

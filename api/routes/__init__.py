@@ -17,6 +17,7 @@ from api.routes import (
     sharing,
     streams,
     sweeps,
+    webhooks,
 )
 
 ROUTERS = (
@@ -31,6 +32,7 @@ ROUTERS = (
     previews.router,  # Before the catalog's, whose ids may have slashes.
     catalog.router,
     accounts.router,
+    webhooks.router,
     joining.router,
     session.router,
     health.router,

@@ -32,7 +32,7 @@ from core.jobs.resolved import filled_in
 from core.jobs.spec import JobKind, Text
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery
-from core.jobs.submission import new_job, submit
+from core.jobs.submission import check_notify, new_job, submit
 from core.jobs.workers import WorkerInfo
 from gaitway.schema import JobView
 
@@ -131,6 +131,7 @@ def check_job(spec: Submitted, service: ServiceDep, principal: PrincipalDep) -> 
     Otherwise the specification with all that defaults fill in, which can be submitted.
     """
     ownership = ownership_of_new(principal, spec.project, service)
+    check_notify(spec, ownership.project, service.store)
     return filled_in(new_job(spec, service.store, ownership, principal.readable), service.store)
 
 

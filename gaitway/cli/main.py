@@ -18,6 +18,7 @@ from gaitway.cli import (
     sweeps,
     usage,
     watch,
+    webhooks,
 )
 from gaitway.cli.common import CommandGroup
 
@@ -88,6 +89,7 @@ app.command("import")(files.import_job)
 app.add_typer(accounts.users, name="users")
 app.add_typer(accounts.projects, name="projects")
 app.add_typer(accounts.tokens, name="tokens")
+app.add_typer(webhooks.webhooks, name="webhooks")
 app.add_typer(models.models, name="models")
 app.add_typer(sweeps.sweeps, name="sweeps")
 service.add_commands(app)

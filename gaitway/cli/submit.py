@@ -38,6 +38,7 @@ JOB_FIELDS = frozenset(
             "seeds",
             "video",
             "battery",
+            "notify",
         ),
         *(
             "resources",
@@ -87,6 +88,9 @@ def submit(  # noqa: PLR0913 # A command line's options.
         str | None, typer.Option(help="Whose members see it; needless with one project of your own.")
     ] = None,
     label: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
+    notify: Annotated[
+        list[str] | None, typer.Option(metavar="WEBHOOK", help="Told of this job; repeatable.")
+    ] = None,
     camera: Annotated[
         list[str] | None, typer.Option(help="`track` or one of the model's; several are shown side by side.")
     ] = None,
@@ -126,6 +130,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
             "seeds": several,
             "name": name,
             "project": project,
+            "notify": notify,
             "algorithm.num_timesteps": num_timesteps,
             **of_video,
         },

@@ -12,13 +12,14 @@ from gaitway.client.accounts import Accounts
 from gaitway.client.files import Files
 from gaitway.client.jobs import Job
 from gaitway.client.sweeps import Sweeps
+from gaitway.client.webhooks import Webhooks
 from gaitway.credentials import token_for
 from gaitway.retry import Retry
 
 __all__ = ["Client", "Job"]
 
 
-class Client(Files, Sweeps, Accounts):
+class Client(Files, Sweeps, Accounts, Webhooks):
     """Talks to one service. Usable as a context manager; `Client` also from several threads.
 
     `AsyncClient` has the methods of `Client`, awaited; `list`, `sweeps`, `models`, `workers`, `events` and

@@ -39,6 +39,7 @@ from gaitway.schema.jobs import (
     OriginView,
     ProgressView,
 )
+from gaitway.schema.news import DeliveryView, NewWebhookView, WebhookView
 from gaitway.schema.sweeps import GroupView, SweepDetails, SweepView, TrialView
 
 __all__ = [
@@ -46,6 +47,7 @@ __all__ = [
     "ArtifactView",
     "AttemptView",
     "AuditView",
+    "DeliveryView",
     "DeviceUsageView",
     "EnvironmentDetails",
     "EnvironmentView",
@@ -55,6 +57,7 @@ __all__ = [
     "MetricsRow",
     "ModelView",
     "NewTokenView",
+    "NewWebhookView",
     "OriginView",
     "PreviewView",
     "ProgressView",
@@ -73,6 +76,7 @@ __all__ = [
     "UsageView",
     "UserView",
     "View",
+    "WebhookView",
     "WhoView",
     "WorkerSettingsView",
     "WorkerView",

@@ -29,6 +29,7 @@ def _defined_as(name: str, kind: str = "string") -> WithJsonSchema:
 
 
 ArtifactRole = Annotated[str, _defined_as("ArtifactRole")]
+DeliveryStatus = Annotated[str, _defined_as("DeliveryStatus")]
 Device = Annotated[str, _defined_as("Device")]
 EngineName = Annotated[str, _defined_as("EngineName")]
 JobPhase = Annotated[str, _defined_as("JobPhase")]
@@ -40,4 +41,5 @@ Reason = Annotated[str, _defined_as("Reason")]
 Role = Annotated[str, _defined_as("Role")]
 SweepStatus = Annotated[str, _defined_as("SweepStatus")]
 TokenScope = Annotated[str, _defined_as("TokenScope")]
+WhichJobs = Annotated[str, _defined_as("WhichJobs")]
 WorkerState = Annotated[str, _defined_as("WorkerState")]

@@ -398,6 +398,22 @@ def _of_accounts(method: str, path: str, **document: Any) -> Forms:
     return made
 
 
+_HOOKS = "/projects/default/webhooks"
+
+
+def _webhook(service: Service, route: str) -> Iterator[Form]:
+    # No news is of its jobs, and its name has no address.
+    document = {"name": "h" * 63, "url": f"https://h.invalid/{'p' * 1900}", "jobs": "named"}
+    yield Form(route, "", "POST", _HOOKS, (201, 409), _json(document), {"Content-Type": _JSON})
+
+
+def _of_webhook(method: str, part: str) -> Forms:
+    def made(service: Service, route: str) -> Iterator[Form]:
+        yield Form(route, "", method, f"{_HOOKS}/none{part}", (404,))
+
+    return made
+
+
 _MEMBERS = [f"{n:063}" for n in range(1000)]
 _FORMS: dict[str, Forms] = {
     "GET /whoami": _get("/whoami"),
@@ -408,6 +424,14 @@ _FORMS: dict[str, Forms] = {
     "GET /projects": _get("/projects"),
     "POST /projects": _of_accounts("POST", "/projects", name="p" * 63),
     "PATCH /projects/{name}": _of_accounts("PATCH", "/projects/p", add=_MEMBERS, remove=_MEMBERS),
+    "GET /projects/{project}/webhooks": _get(_HOOKS),
+    # Another of the same name is refused once it has been read.
+    "POST /projects/{project}/webhooks": _webhook,
+    "GET /projects/{project}/webhooks/{webhook}": _of_webhook("GET", ""),
+    "DELETE /projects/{project}/webhooks/{webhook}": _of_webhook("DELETE", ""),
+    "POST /projects/{project}/webhooks/{webhook}/test": _of_webhook("POST", "/test"),
+    "GET /projects/{project}/webhooks/{webhook}/deliveries": _of_webhook("GET", "/deliveries?limit=200"),
+    "GET /jobs/{job_id}/deliveries": _of_import("/deliveries?limit=200"),
     "GET /workers/settings": _of_accounts("GET", "/workers/settings"),
     "GET /users": _of_accounts("GET", "/users"),
     "POST /users": _of_accounts("POST", "/users", name="u" * 63, projects=_MEMBERS[:100]),

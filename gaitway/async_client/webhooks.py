@@ -1,0 +1,56 @@
+"""Webhooks of a project, and what was sent to them."""
+
+from collections.abc import AsyncIterator, Sequence
+
+from gaitway.addresses import path_of
+from gaitway.async_client.connection import AsyncConnection
+from gaitway.schema import DeliveryView, NewWebhookView, WebhookView
+
+
+class AsyncWebhooks(AsyncConnection):
+    """The methods about who is told of jobs."""
+
+    async def add_webhook(
+        self,
+        name: str,
+        url: str,
+        *,
+        project: str = "default",
+        events: Sequence[str] | None = None,
+        jobs: str = "all",
+        secret: str | None = None,
+    ) -> NewWebhookView:
+        """Tell an HTTP receiver or an Apprise address of a project's jobs; its `secret` is shown this once.
+
+        events: such as `job.failed`; by default all ends. jobs: `all`, `own`, or those that are `named` by
+        `notify`. secret: `whsec_…`; by default a fresh one. Raises Rejected, NotFound, Conflict.
+        """
+        document = {"name": name, "url": url, "events": events and [*events], "jobs": jobs, "secret": secret}
+        given = {field: value for field, value in document.items() if value is not None}
+        return await self._post(_path(project), NewWebhookView, json=given, once=True)
+
+    async def webhooks(self, project: str = "default") -> Sequence[WebhookView]:
+        """Those of the project, without their secrets. Raises NotFound."""
+        return await self._items(_path(project), WebhookView)
+
+    async def delete_webhook(self, name: str, *, project: str = "default") -> None:
+        """Send nothing more to it, and forget what was sent. Raises NotFound."""
+        await self._request("DELETE", _path(project, name))
+
+    async def test_webhook(self, name: str, *, project: str = "default") -> DeliveryView:
+        """Send it a test within a second; `deliveries` shows what comes of it. Raises NotFound."""
+        return await self._post(_path(project, name, "test"), DeliveryView, once=True)
+
+    def deliveries(
+        self, name: str, *, project: str = "default", limit: int | None = None
+    ) -> AsyncIterator[DeliveryView]:
+        """What was sent to a webhook in the last week, the newest first. Raises NotFound."""
+        return self._all(_path(project, name, "deliveries"), DeliveryView, limit, {})
+
+    async def job_deliveries(self, job_id: str) -> Sequence[DeliveryView]:
+        """The newest messages about a job, of the last week. Raises NotFound."""
+        return await self._items(await self._job_path(job_id, "deliveries"), DeliveryView)
+
+
+def _path(project: str, *parts: str) -> str:
+    return path_of("projects", project, "webhooks", *parts)
