@@ -18,9 +18,10 @@ const VIEWS = {
   models: () => "models",
   workers: () => "workers",
   usage: () => "usage",
+  news: () => "news",
   account: () => "account",
 };
-const NAMES = { jobs: "Jobs", sweeps: "Sweeps", submit: "Submit", models: "Models", workers: "Workers", usage: "Usage" };
+const NAMES = { jobs: "Jobs", sweeps: "Sweeps", submit: "Submit", models: "Models", workers: "Workers", usage: "Usage", news: "News" };
 
 function useView(key) {
   const [view, setView] = useState({});

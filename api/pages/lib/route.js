@@ -58,6 +58,7 @@ const PAGES = {
   models: "environments/mjcf.md",
   workers: "operations.md",
   usage: "operations.md",
+  news: "teams.md",
   account: "teams.md",
 };
 

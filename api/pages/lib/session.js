@@ -29,6 +29,9 @@ const rank = ({ role, scope }) => Math.min(ROLES.indexOf(role), Object.values(SC
 
 export const isAdmin = () => present.who !== null && rank(present.who) === ROLES.indexOf("admin");
 
+/** Whether one may submit jobs, and add webhooks. */
+export const maySubmit = () => !present.accounts || (present.who !== null && rank(present.who) >= ROLES.indexOf("submitter"));
+
 /** Scopes of tokens that one may make. */
 export const scopesToMake = () => [...Object.values(SCOPES).slice(0, rank(present.who) + 1), ...(isAdmin() ? ["worker"] : [])];
 

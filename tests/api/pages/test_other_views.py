@@ -17,6 +17,7 @@ from playwright.sync_api import expect
 from core.jobs.job import utc_now
 from core.jobs.queue import queue_names
 from core.jobs.workers import WorkerInfo
+from core.news.webhook import Outcome, new_message
 from core.rendering.mp4 import Mp4Writer
 from core.user_models.record import ModelRecord
 from tests.api.conftest import NOON, Attempt, Stack, job
@@ -360,6 +361,7 @@ VIEWS = [
     "#/models",
     "#/workers",
     "#/usage",
+    "#/news?webhook=lab-chat",
 ]
 
 
@@ -380,10 +382,24 @@ def test_usage_is_shown_by_project_and_device(stack: Stack, tab: Tab) -> None:
     assert "days=30" in page.url
 
 
+def tell_of(stack: Stack, job_id: str) -> None:
+    """Let a webhook be told of the job, in vain."""
+    store = stack.store
+    answer = stack.http.post(
+        "/projects/default/webhooks", json={"name": "lab-chat", "url": "https://1.1.1.1/long/path"}
+    )
+    assert answer.status_code == 201
+    message = new_message("job.failed", utc_now(), {}, project="default", job=job_id)
+    store.add_test("default", "lab-chat", message)
+    (due,) = store.claim_deliveries(1, is_http=True)
+    store.note_outcome(due, Outcome(error="It did not answer within 10 s."))
+
+
 @pytest.mark.timeout(300)  # Half a minute, where nobody else is at work.
-def test_every_view_is_accessible_and_fits(tab: Tab, pair: list[Attempt]) -> None:
+def test_every_view_is_accessible_and_fits(stack: Stack, tab: Tab, pair: list[Attempt]) -> None:
     pair[0].keep("video-100.mp4", step=100)
     pair[0].keep("checkpoint-100.msgpack", role="checkpoint", media_type="application/octet-stream", step=100)
+    tell_of(stack, pair[0].id)
     for view in VIEWS:
         page = tab.open("")
         page = tab.open(view.format(id=pair[0].id, other=pair[1].id))

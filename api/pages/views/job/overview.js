@@ -1,19 +1,23 @@
 /** The job at a glance: video, return, reward by term, costs, attempts. */
 
+import { get } from "../../lib/api.js";
 import { count, duration, moment, seconds, value } from "../../lib/format.js";
 import { across, smooth, useCurves } from "../../lib/curves.js";
 import { html, useState } from "../../lib/html.js";
 import { allocated, newest, RETURNS, seedsOf } from "../../lib/job.js";
+import { useLive } from "../../lib/live.js";
 import { href } from "../../lib/route.js";
 import { metricOfSeed, seedLines } from "../../lib/seeds.js";
 import { Chart } from "../../parts/chart.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
+import { Deliveries } from "../../parts/deliveries.js";
 import { Films } from "../../parts/films.js";
 import { Failure, Prose } from "../../parts/elements.js";
 import { Battery } from "./battery.js";
 import { Costs } from "./costs.js";
 import { NewestReplay, replaysOf } from "./replay.js";
 
+const TOLD_EVERY_MS = 3000;
 // Terms of the reward, as environments name them.
 const TERM = /^eval\/episode_((?:reward|cost)_.+)$/;
 // The share of the environments that train at a level of the terrain.
@@ -33,6 +37,7 @@ export function OverviewTab({ job, query, onMetrics, onPhase }) {
     </div>
     <${Battery} job=${job} />
     <${Attempts} job=${job} />
+    <${Told} job=${job} />
   </div>`;
 }
 
@@ -123,6 +128,15 @@ function Bars({ rows }) {
       </li>`,
     )}
   </ul>`;
+}
+
+/** Who was told of the job. For a minute after its end, and while something waits, there may be more. */
+function Told({ job }) {
+  const hasJustEnded = job.finished_at && seconds(job.finished_at, Date.now()) < 60;
+  const every = ({ items }) => (hasJustEnded || items.some(({ status }) => status === "waiting") ? TOLD_EVERY_MS : 0);
+  const { data } = useLive((signal) => get(`/jobs/${job.id}/deliveries`, {}, { signal }), [job.id, job.status], every);
+  if (!data?.items.length) return null;
+  return html`<section class="card"><h2>News of it</h2><${Deliveries} items=${data.items} what="webhook" /></section>`;
 }
 
 function Attempts({ job }) {
