@@ -18,6 +18,8 @@ from gaitway.cli.main import app
 from gaitway.service.commands.services import joined
 from tests.api.accounts import Lab, opened
 from tests.api.conftest import Stack, quiet, server, stack
+from tests.faults.test_news import HERE, sending
+from tests.receivers import receiving
 
 __all__ = ["quiet", "server", "stack"]  # fixtures
 WORKER = TokenScope.WORKER
@@ -128,3 +130,30 @@ def test_a_worker_asks_a_service_for_its_settings(lab: Lab) -> None:
         joined(url, {})
     with pytest.raises(Forbidden, match="scope worker"):
         joined(url, {credentials.VARIABLE: lab.token("ann").text})
+
+
+def test_a_webhook_by_the_command(lab: Lab) -> None:
+    token = lab.token("two").text
+    lab.service.settings = lab.service.settings.model_copy(update={"news_networks": HERE})
+    with receiving() as receiver, sending(lab.stack.store):
+        missing = gaitway(lab, "webhooks", "list", token=token)
+        assert (missing.exit_code, "several projects: say which by --project" in missing.stderr) == (2, True)
+        made = gaitway(
+            lab, "webhooks", "add", "hook", receiver.url, "--project", "a", "--jobs", "named", token=token
+        )
+        assert succeeded(made).startswith("whsec_")
+        assert "gaitway webhooks test hook" in made.stderr
+        in_a = ("--project", "a")
+        listed = succeeded(gaitway(lab, "webhooks", "list", *in_a, "--json", token=token))
+        assert [(one["name"], one["jobs"]) for one in json.loads(listed)] == [("hook", "named")]
+        tested = succeeded(gaitway(lab, "webhooks", "test", "hook", *in_a, token=token))
+        assert tested == f"{receiver.next().headers['webhook-id']}: delivered (204)\n"
+        sent = gaitway(lab, "submit", "ant", *in_a, "--notify", "hook", token=token)
+        job_id = succeeded(sent).strip()
+        succeeded(gaitway(lab, "cancel", job_id, token=token))
+        assert receiver.next().message["type"] == "job.cancelled"
+        shown = succeeded(gaitway(lab, "webhooks", "deliveries", "hook", *in_a, token=token))
+        assert "webhook.test" in shown
+        of_job = succeeded(gaitway(lab, "webhooks", "deliveries", "--job", job_id, "--json", token=token))
+        assert [one["event"] for one in json.loads(of_job)] == ["job.cancelled"]
+        succeeded(gaitway(lab, "webhooks", "delete", "hook", *in_a, "--yes", token=token))
