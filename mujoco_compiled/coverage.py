@@ -240,8 +240,6 @@ def _actuators(model: mujoco.MjModel) -> Iterator[str]:
     if not model.nactuator:
         return
     kinds, targets = mujoco.mjtTrn, model.actuator_trntype
-    bodies = targets == kinds.mjTRN_BODY
-    yield from where(model, "actuator", bodies, "acts on a body, which it makes stick")
     gain, bias, dynamics = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
     gains, biases = (
         (gain.mjGAIN_FIXED, gain.mjGAIN_AFFINE, gain.mjGAIN_MUSCLE),

@@ -15,6 +15,7 @@ from mujoco_compiled.constraints.constraints import (
     constraint_rows,
     read_constraints,
 )
+from mujoco_compiled.constraints.rows import ConstraintRows
 from mujoco_compiled.constraints.solver import Settings, SolverProblem, acceleration
 from mujoco_compiled.fields import NOMINAL, Fields, Own, is_zero
 from mujoco_compiled.program.arithmetic import Number, Vector, add, scale
@@ -35,6 +36,7 @@ from mujoco_compiled.readings.force_sensors import (
 from mujoco_compiled.smooth.actuation import (
     ActuatorConstants,
     ActuatorState,
+    Adhesion,
     Driven,
     actuator_stretch,
     driven,
@@ -209,12 +211,18 @@ def _problem(model: Model, state: SubstepState, ctrl: Vector) -> tuple[SolverPro
     entries = loops.mass_matrix() if loops else mass_matrix(tree, moving)
     mass = with_armature(model.tendons, stretches, entries)
     held = weight_held(tree, at, moving)
-    now = Instant(tree, at, moving, state.qvel, stretches, _driven(model, state, ctrl, posture, held))
+    placed = ConstraintState(state.qpos, state.qvel, stretches)
+
+    def constrained() -> ConstraintRows:
+        return constraint_rows(tree, model.constraints, at, moving, placed, loops)
+
+    rows = constrained() if model.constraints.are_pulled else None
+    done = _driven(model, state, ctrl, posture, held, rows)
+    now = Instant(tree, at, moving, state.qvel, stretches, done)
     force = _smooth_forces(model, state, now, held, loops)
     for dof, bias in armature_forces(model.tendons, posture, state.qvel).items():
         force[dof] = force[dof] - bias
-    placed = ConstraintState(state.qpos, state.qvel, stretches)
-    rows = constraint_rows(tree, model.constraints, at, moving, placed, loops)
+    rows = rows or constrained()
     inertia: Inertia = WrittenOut(tree, mass)
     if loops and rows.slots:
         loops.change_mass(entries, mass)
@@ -253,9 +261,22 @@ def _posture(model: Model, qpos: Vector, qvel: Vector, loops: TreeLoops | None) 
     return with_tendons(Posture(model.tree, at, moving, qpos), model.tendons)
 
 
-def _driven(model: Model, state: SubstepState, ctrl: Vector, posture: Posture, held: Vector) -> Driven:
-    """What the actuators do."""
-    along = [actuator_stretch(actuator.path, posture) for actuator in model.actuators]
+def _driven(
+    model: Model,
+    state: SubstepState,
+    ctrl: Vector,
+    posture: Posture,
+    held: Vector,
+    rows: ConstraintRows | None,
+) -> Driven:
+    """What the actuators do. rows: with the contacts, if actuators pull along them."""
+
+    def pulled(adhesion: Adhesion) -> Vector:
+        contacts = model.constraints.contacts
+        own = [k for k, one in enumerate(contacts) if {one.one.number, one.other.number} & {*adhesion.geoms}]
+        return rows.slots.pulled(own) if rows and rows.slots and own else []
+
+    along = [actuator_stretch(actuator.path, posture, pulled) for actuator in model.actuators]
     own = ActuatorState(along, state.qvel, state.act, ctrl, held, state.history)
     return driven(model.tree, model.actuators, own, model.timestep)
 

@@ -59,7 +59,7 @@ def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
     model = read_model(plan.model)
     # More points than these would be too long to write out, and a fold has no tables.
     constraints = model.constraints
-    has_tables = constraints.are_of_meshes or constraints.are_of_fields
+    has_tables = constraints.are_of_meshes or constraints.are_of_fields or constraints.are_pulled
     is_short = constraints.num_points <= _MOST_POINTS_IN_LANES and not has_tables
     for limbs in ways_to_share(plan.model) if is_short else ():
         try:

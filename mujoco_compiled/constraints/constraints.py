@@ -50,8 +50,11 @@ FEW_CONTACTS = 8
 
 @dataclass(frozen=True)
 class Constraints:
-    """All that a model can ever have. are_written_out: whether contacts are, however many there are. room: in
-    slots."""
+    """All that a model can ever have.
+
+    are_pulled: whether actuators pull along contacts. are_written_out: whether contacts are, however many
+    there are. room: in slots.
+    """
 
     ties: tuple[Tie, ...]
     couplings: tuple[Coupling, ...]
@@ -59,13 +62,15 @@ class Constraints:
     limits: tuple[Limit, ...]
     ball_limits: tuple[BallLimit, ...]
     contacts: tuple[ContactPair, ...]
+    are_pulled: bool = False
     are_written_out: bool = False
     room: Room = field(default_factory=room_of_lanes)
 
     @property
     def are_in_slots(self) -> bool:
         """Whether a program has the contacts in slots."""
-        return (len(self.contacts) > FEW_CONTACTS or self.are_of_fields) and not self.are_written_out
+        are_needed = self.are_of_fields or (self.are_pulled and bool(self.contacts))
+        return (len(self.contacts) > FEW_CONTACTS or are_needed) and not self.are_written_out
 
     @property
     def are_of_meshes(self) -> bool:
@@ -106,6 +111,7 @@ def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
         limits=read_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
         ball_limits=read_ball_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
         contacts=read_contacts(fields) if keeps(bit.mjDSBL_CONTACT) else (),
+        are_pulled=bool((model.actuator_trntype == mujoco.mjtTrn.mjTRN_BODY).any()),
     )
 
 

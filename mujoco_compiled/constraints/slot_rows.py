@@ -89,6 +89,23 @@ class SlotRows:
         """By list of contacts: at how many points they touch."""
         return self._by_contact(contacts, lambda slot: select(slot.touches, 1.0, 0.0))
 
+    def pulled(self, contacts: Sequence[int]) -> Vector:
+        """On degrees of freedom [nv]: a force of 1 N that draws these contacts' geoms together, in equal
+        parts at the points where they touch."""
+        self._loops.clear(self._wrenches)
+        for kind in self._kinds:
+            share = kind.column("share 0", [float(place in contacts) for place in kind.places])
+
+            def pull(slot: Slot, _: Vector, share: Column = share) -> Vector:
+                normal, weight = slot.read("normal"), select(slot.touches, share.at(slot.contact), 0.0)
+                for side in slot.sides:
+                    self._wrenches.add(side.body, scale(side.wrench(normal, turns=False), -weight))
+                return []
+
+            kind.each(pull)
+        number = maximum(self.numbers_touching([contacts])[0], 1.0)
+        return [x / number for x in self._loops.on_dofs(self._wrenches)]
+
     def _press(self, slot: Slot) -> None:
         residual = slot.read("residual")
         forces = slot.law.forces(residual)

@@ -28,6 +28,8 @@ def unread_sensors(model: mujoco.MjModel) -> Iterator[tuple[int, str]]:
             yield number, f"{name} is about a camera"
         elif model.sensor_delay[number] or model.sensor_interval[number].any():
             yield number, f"{name} is read late or at intervals"
+        elif np.isin(kind, (kinds.mjSENS_ACTUATORPOS, kinds.mjSENS_ACTUATORVEL)) and _sticks(model, number):
+            yield number, f"{name} is the length or the rate of an actuator on a body"
         elif kind == kinds.mjSENS_ACTUATORPOS and not is_on_scalar(model, int(model.sensor_objid[number])):
             yield number, f"{name} is the length of an actuator on a joint with several axes"
 
@@ -59,6 +61,11 @@ def _unread_touch(model: mujoco.MjModel, site: int) -> str | None:
             if mine and not encloses(model, site, geom, max(0.0, pair.parameters.margin)):
                 return f"is not about all of the body's geom {named(model, 'geom', geom)}"
     return None
+
+
+def _sticks(model: mujoco.MjModel, sensor: int) -> bool:
+    """Whether a sensor is about an actuator that pulls along a body's contacts."""
+    return bool(model.actuator_trntype[model.sensor_objid[sensor]] == mujoco.mjtTrn.mjTRN_BODY)
 
 
 def turn_several_axes(model: mujoco.MjModel) -> np.ndarray:

@@ -3,7 +3,7 @@
 Source: MuJoCo's documentation, Computation, "Actuation model".
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp
 
@@ -26,7 +26,15 @@ from mujoco_compiled.smooth.sites import AtSite, ByCrank, crank_stretch, read_si
 from mujoco_compiled.smooth.tendons import path_of, read_tendons
 from mujoco_compiled.smooth.tree import Range, Tree
 
-ActuatorPath = Path | AtSite | ByCrank
+
+@dataclass(frozen=True)
+class Adhesion:
+    """Against the normals of a body's contacts, on average; MuJoCo gives it no gear. geoms: the body's."""
+
+    geoms: tuple[int, ...]
+
+
+ActuatorPath = Path | AtSite | ByCrank | Adhesion
 
 
 @dataclass(frozen=True)
@@ -108,9 +116,14 @@ def read_actuators(model: mujoco.MjModel, own: Own = NOMINAL) -> tuple[ActuatorC
     return tuple(_actuator(fields, number, late.get(number)) for number in range(model.nactuator))
 
 
-def actuator_stretch(path: ActuatorPath, posture: Posture) -> Stretch:
-    """Of what an actuator acts along. posture: with the tendons' stretches."""
+def actuator_stretch(
+    path: ActuatorPath, posture: Posture, pulled: Callable[[Adhesion], Vector] | None = None
+) -> Stretch:
+    """Of what an actuator acts along. posture: with the tendons' stretches. pulled: how an adhesion of 1 N
+    acts on the degrees of freedom [nv]; None: nothing touches."""
     match path:
+        case Adhesion():
+            return Stretch(0.0, dict(enumerate(pulled(path) if pulled else [])))
         case AtSite():
             return site_stretch(path, posture)
         case ByCrank():
@@ -274,6 +287,8 @@ def transmission(fields: Fields, number: int) -> ActuatorPath:
     model, target = fields.model, int(fields.model.actuator_trnid[number, 0])
     if np.isin(model.actuator_trntype[number], (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK)):
         return read_site_path(fields, number)
+    if model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_BODY:
+        return Adhesion(tuple(np.flatnonzero(model.geom_bodyid == target).tolist()))
     gear = fields.row("actuator_gear", number)
     if model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_TENDON:
         return path_of(read_tendons(model, fields.own)[target], target, gear[0])
