@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 
 from mujoco_compiled.collisions.fields import MOST_CELLS, MOST_HEIGHTS, read_field
-from mujoco_compiled.collisions.hulls import read_hull
 from mujoco_compiled.collisions.own_boxes import fixed_boxes
 from mujoco_compiled.collisions.prisms import ON_FIELDS
 from mujoco_compiled.collisions.table import COLLIDERS
@@ -78,14 +77,6 @@ def left_out(model: mujoco.MjModel) -> Iterator[str]:
         one, other = (named(model, "geom", number) for number in pairs[0])
         more = f", and so do {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
         yield f"its geoms {one} and {other} pass through each other, as both are meshes{more}"
-    touching = {geom for pair in read_pairs(Fields(model)) for geom in (pair.one, pair.other)}
-    hulls = {hull.mesh: hull for geom in sorted(touching) if (hull := read_hull(model, geom))}
-    for hull in hulls.values():
-        if hull.error:
-            yield (
-                f"the hull of its mesh {named(model, 'mesh', hull.mesh)} has {len(hull.vertices)} vertices "
-                f"here, which cut off up to {1e3 * hull.error:.2g} mm"
-            )
 
 
 def uncovered_own(model: mujoco.MjModel, names: Sequence[str], derived: Sequence[str] = ()) -> str | None:

@@ -388,8 +388,7 @@ class Writer:
         target, shared, width = self.target, self.target.shared, self.target.width
         whole = self.value(f"fptosi {target.number} {index} to {target.integer}")
         begin = self._pointer("float", shared, "@table_constants", place)
-        lanes = self.value(f"sext {target.integer} {whole} to {target.of('i64')}")
-        pointer = self.value(f"getelementptr inbounds float, {shared} {begin}, {target.of('i64')} {lanes}")
+        pointer = self.value(f"getelementptr inbounds float, {shared} {begin}, {target.integer} {whole}")
         if width == 1:
             self.line(f"{name} = load float, {shared} {pointer}, align 4, !invariant.load !0")
             return

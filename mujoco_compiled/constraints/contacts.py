@@ -190,13 +190,27 @@ def are_close(contact: ContactPair, one: Placed, other: Placed) -> Number:
     near = contact.one.bound + maximum(0.0, contact.parameters.reach)
     kind, kind_other = contact.kinds
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        if other.hull is not None:
+            return _is_low(one, other, near)
         return -dot(one.axis, way) < near + contact.other.bound
     if one.field is not None:
         return _is_over(one, other, contact.other.bound + maximum(0.0, contact.parameters.reach))
+    if other.hull is not None:
+        sides = zip(subtract(other.inward(way), other.hull.middle), other.hull.half, strict=True)
+        return reduce(and_, (absolute(x) < half + near for x, half in sides))
     if kind_other == mujoco.mjtGeom.mjGEOM_BOX:
         sides = zip(other.inward(way), other.size, strict=True)
         return reduce(and_, (absolute(x) < size + near for x, size in sides))
     return dot(way, way) < squared(near + contact.other.bound)
+
+
+def _is_low(plane: Placed, mesh: Placed, near: Number) -> Number:
+    """Whether the box about a mesh is nearer to a plane than that."""
+    assert mesh.hull is not None  # noqa: S101
+    upwards = mesh.inward(plane.axis)
+    reach = total(absolute(x) * half for x, half in zip(upwards, mesh.hull.half, strict=True))
+    height = dot(plane.axis, subtract(mesh.position, plane.position)) + dot(upwards, mesh.hull.middle)
+    return height - reach < near
 
 
 def _is_over(field: Placed, geom: Placed, near: Number) -> Number:

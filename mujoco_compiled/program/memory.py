@@ -9,6 +9,9 @@ nothing, as a contact without stiffness does.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mujoco_compiled.program.arithmetic import Number, Vector, clip, total
 from mujoco_compiled.program.program import Bound, Each, Place, Program, Read, Space, Store, Symbol, Together
 
@@ -72,6 +75,25 @@ class Column:
         bounded = self.program.variable(clip(index, 0.0, float(most)))
         read = Read(0, "constants", Place(self.values), index=bounded)
         return Symbol(self.program, _read(self.program, read))
+
+
+@dataclass(frozen=True, eq=False)
+class Lookup:
+    """The model's numbers, by row, of which each environment reads a row of its own. name: of one table."""
+
+    name: str
+    values: NDArray[np.float64]
+
+    def at(self, row: Number) -> Number:
+        """The number in a row; see `Column.looked_up`."""
+        most = len(self.values) - 1
+        if not isinstance(row, Symbol):
+            return self.values[np.fmin(np.fmax(row, 0.0), most).astype(int)]
+        memory = row.program.memory
+        if self.name not in memory.arrays:
+            memory.arrays[self.name] = len(memory.constants)
+            memory.constants += self.values.tolist()
+        return Column(row.program, memory.arrays[self.name]).looked_up(row, most)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from mujoco_compiled.collisions.hulls import MOST_VERTICES, read_hull
 from mujoco_compiled.constraints.constraints import read_constraints
 from mujoco_compiled.constraints.contact_room import MOST_SLOTS
 from mujoco_compiled.coverage import left_out, uncovered
@@ -129,33 +128,6 @@ def test_meshes_that_pass_through_each_other_are_said() -> None:
     assert list(left_out(model)) == []
 
 
-def test_what_a_simpler_hull_cuts_off_is_said() -> None:
-    model = shells(MOST_VERTICES + 50)
-    assert uncovered(model) is None
-    _, said = left_out(model)
-    assert said.startswith(
-        f"the hull of its mesh 'shell' has {MOST_VERTICES} vertices here, which cut off up"
-    )
-    hull = read_hull(model, int(model.geom("trunk").id))
-    # 50 of 306 corners of a ball of 0.1 m, each 2 mm and less above the chord between its neighbours.
-    assert hull is not None
-    assert 1e-5 < hull.error < 2e-3
-    reach = max(np.linalg.norm(vertex) for vertex in hull.vertices)
-    assert reach < 0.102
-
-
 def test_meshes_are_known_as_tables() -> None:
     assert read_constraints(shells(20)).are_of_meshes
     assert not read_constraints(body()).are_of_meshes
-
-
-def test_a_hull_is_made_simpler_where_few_faces_have_corners_beyond_them() -> None:
-    # Two rings: 16 corners are added at once, and there are soon fewer faces beyond which others are.
-    angles = np.linspace(0.0, 2.0 * np.pi, MOST_VERTICES, endpoint=False)
-    ring = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-    corners = 0.1 * np.concatenate([ring, 0.8 * ring + [0.0, 0.0, 1.0]])
-    vertices = " ".join(f"{x:.6f}" for x in corners.ravel())
-    hull = read_hull(mujoco.MjModel.from_xml_string(MESHES.format(vertices, "")), 1)
-    assert hull is not None
-    assert len(hull.vertices) <= MOST_VERTICES
-    assert hull.error < 1e-3

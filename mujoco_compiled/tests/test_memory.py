@@ -5,6 +5,7 @@ import numpy as np
 from mujoco_compiled.program.arithmetic import Number, Vector
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.memory import (
+    Lookup,
     array,
     column,
     for_each,
@@ -102,3 +103,13 @@ def test_a_list_that_overflows_tells_so_and_keeps_what_it_holds() -> None:
     program.output("found", above(program, program.inputs("x", 1)[0], most=2))
     found = run(program, {"x": [GIVEN]})["found"]
     np.testing.assert_array_equal(found, [[2, 2, 2, 2, 0], [2.5, 2.5, 2.5, 2.5, 0], [3, 3, 3, 3, 0]])
+
+
+def test_each_environment_reads_a_row_of_its_own() -> None:
+    program = Program()
+    (x,) = program.inputs("x", 1)
+    weights = Lookup("weights", np.array(WEIGHTS))
+    program.output("weight", [weights.at(0.5 * x)])
+    # Half of 8 is beyond the table, and half of -3 before it.
+    np.testing.assert_array_equal(both(program)["weight"][0], [0.5, 0.5, 0.5, 4.0, 0.5])
+    np.testing.assert_array_equal(weights.at(np.array([np.nan, 1.0, -2.0])), [0.5, 2.0, 0.5])
