@@ -82,11 +82,9 @@ def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Ve
         guess = _unpacked(carried, start)
         direction, gradient = _newton_direction(problem, guess)
         moved, gain = _line_search(problem, guess, direction, settings, scale)
-        # A search that is cut off may end where the cost is higher: then this guess is the best and the last.
-        best = [select(gain < 0.0, x, y) for x, y in zip(guess.acceleration, moved.acceleration, strict=True)]
         steepness = sqrt(dot(gradient, gradient))
         improves = (gain * scale > settings.tolerance) & (steepness * scale > settings.tolerance)
-        return _packed(replace(moved, acceleration=best)), improves
+        return _packed(moved), improves
 
     return _unpacked(repeat(settings.iterations, iterate, _packed(start)), start).acceleration
 
@@ -105,7 +103,7 @@ def _newton_direction(problem: SolverProblem, guess: _Guess) -> tuple[Vector, Ve
 def _line_search(
     problem: SolverProblem, guess: _Guess, direction: Vector, settings: Settings, scale: float
 ) -> tuple[_Guess, Number]:
-    """The best guess along the direction, and by how much its cost is less: less than 0 if it is higher.
+    """The best guess along the direction, and by how much its cost is less.
 
     The cost along a line is convex, and quadratic between the points where a row begins or ends to push. So
     Newton's method finds where the slope is 0, kept between places where the cost falls and where it rises.
@@ -153,11 +151,16 @@ def _line_search(
     if slots:
         fallen = fallen + slots.advance(step)
     gain = fallen - step * (linear + step * quadratic)
-    return moved, gain
+    # A search that is cut off may end where the cost is higher: then the old guess is the best and the last.
+    is_worse = gain < -_ROUNDING * absolute(fallen)
+    pairs = zip(guess.acceleration, moved.acceleration, strict=True)
+    return replace(moved, acceleration=[select(is_worse, x, y) for x, y in pairs]), gain
 
 
 # Farther than any step: an end of a line that is not known yet. Below any curvature: for no direction.
 _FAR, _TINY = 1e30, 1e-30
+# A cost that rises by a smaller part of the rows' share may rise by rounding alone.
+_ROUNDING = 1e-4
 
 
 def _guess(problem: SolverProblem, acceleration: Vector) -> _Guess:
