@@ -11,7 +11,7 @@ from functools import reduce
 
 from mujoco_compiled.collisions.convex import convex_touch
 from mujoco_compiled.collisions.planes import plane_box, plane_capsule, plane_cylinder, plane_mesh
-from mujoco_compiled.collisions.shapes import AWAY, Placed, Touch
+from mujoco_compiled.collisions.shapes import AWAY, Placed, Touch, chosen
 from mujoco_compiled.collisions.supports import BOX, CAPSULE, CYLINDER, MESH, Convex, convex_geom
 from mujoco_compiled.program.arithmetic import (
     Number,
@@ -63,7 +63,7 @@ def convex_collider(kind: int, other: int) -> Callable[[Placed, Placed], list[To
             is_better = found.is_aligned & (share < found.share)
             share = select(is_better, found.share, share)
             lying = [*found.points, *([away] * (len(points) - len(found.points)))]
-            points = [_chosen(is_better, *pair) for pair in zip(lying, points, strict=True)]
+            points = [chosen(is_better, *pair) for pair in zip(lying, points, strict=True)]
         return points
 
     return collide
@@ -107,14 +107,6 @@ def _on_face(lower: Convex, upper: Convex, touch: Touch, sign: float) -> _Lying:
         distance = touch.distance + parts[-1] * (point.distance - touch.distance)
         points.append(Touch(position, distance, normal))
     return _Lying(face.is_aligned, total(parts) / len(parts), points)
-
-
-def _chosen(condition: Number, one: Touch, other: Touch) -> Touch:
-    return Touch(
-        [select(condition, x, y) for x, y in zip(one.position, other.position, strict=True)],
-        select(condition, one.distance, other.distance),
-        [select(condition, x, y) for x, y in zip(one.normal, other.normal, strict=True)],
-    )
 
 
 def _box_face(box: Convex, outwards: Vector) -> _Face:

@@ -27,7 +27,7 @@ from mujoco_compiled.program.arithmetic import (
 # otherwise rounding could lose an edge that two rectangles have in common.
 _SAME_POINT, _ON_LINE = 1e-5, 1e-6
 # In the order in which edges join them.
-_CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 _SMALLEST = 1e-15
 
 
@@ -52,19 +52,19 @@ def overlap(size: Vector, face: Rectangle) -> list[tuple[Number, Vector]]:
     size: half of the rectangle, [2].
     """
     smaller = minimum(total(size), total(face.lengths))
-    corners = [face.at(u, v) for u, v in _CORNERS]
-    found = _starts(corners, [_outside(corner, size, smaller) for corner in corners], True)
+    corners = [face.at(u, v) for u, v in CORNERS]
+    found = starts(corners, [_outside(corner, size, smaller) for corner in corners], True)
     (a, b, _), (c, d, _) = face.edges
     determinant = a * d - b * c
     corners, outsides = list[Vector](), list[Vector]()
-    for corner in _CORNERS:
+    for corner in CORNERS:
         x, y = (own * half for own, half in zip(corner, size, strict=True))
         left, up = x - face.centre[0], y - face.centre[1]
         u, v = (left * d - up * c) / determinant, (a * up - b * left) / determinant
         corners.append([x, y, face.at(u, v)[2]])
         outsides.append(_outside([u * face.lengths[0], v * face.lengths[1]], face.lengths, smaller))
     # Seen from above, the face's edges may run the other way round.
-    found += _starts(corners, outsides, determinant > 0.0)
+    found += starts(corners, outsides, determinant > 0.0)
     return _different(found, squared(_SAME_POINT * smaller))
 
 
@@ -74,7 +74,7 @@ def _outside(point: Vector, size: Vector, smaller: Number) -> Vector:
     return [select(absolute(x) < _ON_LINE * smaller, 0.0, x) for x in over]
 
 
-def _starts(corners: list[Vector], outsides: list[Vector], is_forward: Number) -> list[tuple[Number, Vector]]:
+def starts(corners: list[Vector], outsides: list[Vector], is_forward: Number) -> list[tuple[Number, Vector]]:
     """Whether a part of each edge between corners [4][3] is inside of four lines, and where it starts.
 
     outsides: of each corner, how far it is outside of each line. is_forward: otherwise the part's end.

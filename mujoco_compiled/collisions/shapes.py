@@ -18,6 +18,7 @@ from mujoco_compiled.program.arithmetic import (
     product,
     rotate,
     rotation_matrix,
+    select,
     sqrt,
     transpose,
 )
@@ -83,6 +84,15 @@ class Touch:
     distance: Number
     normal: Vector
     along: Vector | None = None
+
+
+def chosen(condition: Number, one: Touch, other: Touch) -> Touch:
+    """The one where the condition is true, and the other elsewhere."""
+    return Touch(
+        [select(condition, x, y) for x, y in zip(one.position, other.position, strict=True)],
+        select(condition, one.distance, other.distance),
+        [select(condition, x, y) for x, y in zip(one.normal, other.normal, strict=True)],
+    )
 
 
 def read_geoms(fields: Fields) -> tuple[Geom, ...]:

@@ -7,6 +7,7 @@ import mujoco
 from mujoco_compiled.collisions.box_box import box_box
 from mujoco_compiled.collisions.boxes import sphere_box
 from mujoco_compiled.collisions.capsule_box import capsule_box
+from mujoco_compiled.collisions.cylinder_box import cylinder_box
 from mujoco_compiled.collisions.cylinders import sphere_cylinder
 from mujoco_compiled.collisions.ellipsoid_box import ellipsoid_box
 from mujoco_compiled.collisions.faces import convex_collider, num_convex_points
@@ -95,6 +96,7 @@ COLLIDERS: Mapping[tuple[int, int], tuple[Collider, int]] = {
     (_CAPSULE, _CAPSULE): (capsule_capsule, 1),
     (_CAPSULE, _BOX): (capsule_box, 2),
     (_ELLIPSOID, _BOX): (ellipsoid_box, 1),
+    (_CYLINDER, _BOX): (cylinder_box, 4),
     (_BOX, _BOX): (box_box, 8),
     **{
         kinds: (convex_collider(*kinds), num_convex_points(*kinds))
@@ -105,7 +107,6 @@ COLLIDERS: Mapping[tuple[int, int], tuple[Collider, int]] = {
             (_ELLIPSOID, _ELLIPSOID),
             (_ELLIPSOID, _CYLINDER),
             (_CYLINDER, _CYLINDER),
-            (_CYLINDER, _BOX),
             *((kind, _MESH) for kind in (_SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX)),
         )
     },

@@ -43,7 +43,6 @@ CONVEX = [
     ("ellipsoid", "ellipsoid"),
     ("ellipsoid", "cylinder"),
     ("cylinder", "cylinder"),
-    ("cylinder", "box"),
 ]
 WITH_A_MESH = [(kind, "mesh") for kind in ("sphere", "capsule", "ellipsoid", "cylinder", "box")]
 
@@ -95,11 +94,8 @@ def deepest(points: Array) -> Array:
     return points[np.arange(len(points)), points[:, :, 0].argmin(axis=1)]
 
 
-def states(kinds: tuple[str, str], *, on_a_floor: bool = False) -> States:
-    """Geoms that overlap by up to 10 mm, or are apart by up to the margin.
-
-    on_a_floor: the second is 4 m wide, and the first anywhere on it.
-    """
+def states(kinds: tuple[str, str]) -> States:
+    """Geoms that overlap by up to 10 mm, or are apart by up to the margin."""
     generator = np.random.default_rng(0)
     sizes, model = generator.uniform(0.03, 0.2, size=(NUM_STATES, 2, 3)), model_of(kinds)
     if (hull := read_hull(model, 1)) is not None:
@@ -111,11 +107,6 @@ def states(kinds: tuple[str, str], *, on_a_floor: bool = False) -> States:
     rotations = rotations.reshape(NUM_STATES, 2, 3, 3)
     ways = generator.normal(size=(NUM_STATES, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
-    if on_a_floor:
-        sizes[:, 1] = [2.0, 2.0, 0.3]
-        places = np.append(generator.uniform(-1.9, 1.9, size=(NUM_STATES, 2)), np.zeros((NUM_STATES, 1)), 1)
-        positions[:, 0] = np.einsum("nij,nj->ni", rotations[:, 1], places)
-        ways = -rotations[:, 1, :, 2]
 
     def apart(length: Array) -> States:
         both = np.stack([positions[:, 0], positions[:, 1] + length[:, None] * ways], axis=1)
@@ -155,19 +146,13 @@ def of_mujoco(given: States) -> Array:
     return found
 
 
-@pytest.mark.parametrize(
-    ("kinds", "on_a_floor"),
-    [
-        *((kinds, False) for kinds in (*CONVEX, *WITH_A_MESH)),
-        (("cylinder", "box"), True),
-    ],
-)
-def test_convex_geoms_touch_as_in_mujoco(kinds: tuple[str, str], *, on_a_floor: bool) -> None:
+@pytest.mark.parametrize("kinds", [*CONVEX, *WITH_A_MESH])
+def test_convex_geoms_touch_as_in_mujoco(kinds: tuple[str, str]) -> None:
     """Distances to 2e-5 m; most normals to 2e-3, and positions to 1e-4 m.
 
     Some deep edges of boxes and meshes have another direction of less overlap than the one that is found.
     """
-    given = states(kinds, on_a_floor=on_a_floor)
+    given = states(kinds)
     ours, theirs = given.deepest(), of_mujoco(given)
     both = ~np.isnan(theirs[:, 0])
     assert both.sum() > 0.8 * NUM_STATES
@@ -175,11 +160,10 @@ def test_convex_geoms_touch_as_in_mujoco(kinds: tuple[str, str], *, on_a_floor: 
     apart = np.abs(ours - theirs)[both]
     assert np.quantile(apart[:, 0], 0.97 if kinds == ("box", "mesh") else 1.0) < 2e-5
     assert np.quantile(apart[:, 4:].max(axis=1), 0.95) < 2e-3
-    # On a face that is almost parallel, the point that lies deepest is as good as undetermined.
     assert np.quantile(apart[:, 1:4].max(axis=1), 0.8) < 1e-4
 
 
-@pytest.mark.parametrize("kinds", [("cylinder", "box"), ("capsule", "mesh")])
+@pytest.mark.parametrize("kinds", [("cylinder", "cylinder"), ("capsule", "mesh")])
 def test_machine_code_finds_the_same_contacts(kinds: tuple[str, str]) -> None:
     """In single precision."""
     given, program = states(kinds), Program()
@@ -221,33 +205,7 @@ def about_y(angle: float) -> Array:
     return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
 
 
-CYLINDER, PLATE = [0.1, 0.2, 0.0], [0.5, 0.5, 0.1]
-
-
-def test_a_cylinder_stands_on_a_box_as_on_a_plane() -> None:
-    found = lying(("cylinder", "box"), [CYLINDER, PLATE], [0.2, 0.0, 0.299], about_y(0.003))
-    normals = np.array([touch.normal for touch in found])
-    np.testing.assert_allclose(normals, [[0.0, 0.0, -1.0]] * 4, atol=1e-9)
-    # Three points of the lower rim, one above the lowest, and all where MuJoCo has a plane's.
-    depths = sorted(-touch.distance for touch in found)
-    low = 0.001 + 0.1 * 0.003
-    np.testing.assert_allclose(depths[1:], [low - 0.15 * 0.003] * 2 + [low], atol=2e-6)
-    assert depths[0] < -0.3
-
-
-def test_a_cylinder_over_an_edge_touches_up_to_the_edge() -> None:
-    # Its axis is 0.05 m from the edge, and its lower rim reaches 0.05 m beyond.
-    found = lying(("cylinder", "box"), [CYLINDER, PLATE], [0.45, 0.0, 0.299], np.eye(3))
-    places = np.array([touch.position for touch in found if touch.distance < 0.0])
-    assert len(places) >= 3
-    assert places[:, 0].max() <= 0.5 + 1e-9
-    assert np.ptp(places[:, 1]) > 0.08
-
-
-def test_a_lying_cylinder_touches_a_box_along_a_line() -> None:
-    found = lying(("cylinder", "box"), [CYLINDER, PLATE], [0.0, 0.0, 0.199], about_y(0.5 * np.pi))
-    places = [touch.position for touch in found if touch.distance < 0.0]
-    assert {round(x, 6) for x, _, _ in places} == {-0.2, 0.2}
+CYLINDER = [0.1, 0.2, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -267,14 +225,6 @@ def test_geoms_lie_on_a_cylinder_s_end_with_several_points(
     places = np.array([one.position for one in found])
     np.testing.assert_allclose(np.linalg.norm(places[:, :2], axis=1), reach, atol=1e-6)
     assert np.ptp(places[:, 0]) > 1.2 * reach
-
-
-def test_a_box_lies_on_a_cylinder_s_end_with_four_corners() -> None:
-    box = Placed([0.0, 0.0, 0.199], UNTURNED, UNTURNED, [0.1, 0.1, 0.1])
-    cylinder = Placed([0.0, 0.0, 0.0], UNTURNED, UNTURNED, [0.3, 0.1, 0.0])
-    found = COLLIDERS[kind("cylinder"), kind("box")][0](cylinder, box)
-    corners = {(round(one.position[0], 6), round(one.position[1], 6)) for one in found}
-    assert corners == {(0.1, 0.1), (0.1, -0.1), (-0.1, 0.1), (-0.1, -0.1)}
 
 
 ON_A_PLANE = """
