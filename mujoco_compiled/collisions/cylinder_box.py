@@ -56,7 +56,7 @@ def cylinder_box(cylinder: Placed, box: Placed) -> list[Touch]:
         axes=[face.seen(one) for one in axes],
         size=cylinder.size[:2],
         ahead=face.seen(ahead),
-        highest=maximum(touch.distance, 0.0) + _SMALLEST,
+        highest=maximum(1.01 * touch.distance, 0.0) + _SMALLEST,
     )
 
     def to_world(vector: Vector) -> Vector:
@@ -117,7 +117,7 @@ class _OnFace:
 
     half: of the face, [2] in m. centre: the cylinder's. axes: its own, [3][3], the last one along it. size:
     its radius and half its length. ahead: from the cylinder to the box, the direction of least overlap.
-    highest: a point that is farther away, in m, does not count.
+    highest: a point that is farther away, in m, does not count: beyond the nearest, if none overlaps.
     """
 
     half: Vector
