@@ -13,7 +13,7 @@ from rich.console import Console
 from bench.machine import this_commit, this_machine
 from bench.summary import Run, save, show
 
-NAMES = ("physics", "train", "service", "recovery", "demo")
+NAMES = ("physics", "train", "service", "recovery", "turns", "demo")
 
 
 def main() -> int:

@@ -99,10 +99,10 @@ class MemoryJobQueue:
         self._previews: list[PreviewRequest] = []
         self._lock = Lock()
 
-    def enqueue(self, job_id: str, attempt: int, *, name: str) -> None:
+    def enqueue(self, job_id: str, attempt: int, *, name: str, again: bool = False) -> None:
         dispatch = Dispatch(job_id, attempt)
         with self._lock:
-            if dispatch not in self._taken:
+            if again or dispatch not in self._taken:
                 self._waiting.setdefault(dispatch, name)
 
     def num_waiting(self, names: Collection[str]) -> Mapping[str, int]:
@@ -118,6 +118,10 @@ class MemoryJobQueue:
     def known(self) -> Collection[tuple[str, int]]:
         with self._lock:
             return {(dispatch.job_id, dispatch.attempt) for dispatch in (*self._waiting, *self._taken)}
+
+    def taken(self) -> Collection[tuple[str, int]]:
+        with self._lock:
+            return {(dispatch.job_id, dispatch.attempt) for dispatch in self._taken - self._waiting.keys()}
 
     def strays(self) -> Set[str]:
         return frozenset()

@@ -3,7 +3,7 @@
 import os
 import signal
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any, ClassVar
@@ -15,12 +15,13 @@ from core.adapters.rq.queue import this_worker
 from core.adapters.wiring import job_store, object_store
 from core.configuration import read
 from core.errors import JobUnreadable, Misconfigured, NotFound, Unavailable
-from core.jobs.attempts import claim_attempt, new_secret
+from core.jobs.attempts import claim_turn, new_secret
 from core.jobs.job import Job
+from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery, JobStore
 from core.jobs.tallies import Tallies
-from core.jobs.workers import packages_here, why_left_to_others
+from core.jobs.workers import WorkerInfo, packages_here, why_left_to_others
 from core.previews.record import PreviewRequest
 from core.retry import CalledOff, pause, retry_while_unavailable
 from core.settings import WorkerSettings
@@ -45,7 +46,11 @@ _PAUSE_S = 5.0
 
 
 def run_attempt(job_id: str, attempt: int) -> None:
-    """Claim the attempt and see it to its end; an outdated dispatch does nothing."""
+    """Claim the job whose turn it is, and see its attempt to its end.
+
+    RQ's message says that there is work for slots like this one, and names a job that waited when it was
+    sent: another one may have its turn, or none.
+    """
     draining = Draining()
     for number in (signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, draining.set)
@@ -66,36 +71,34 @@ def run_attempt(job_id: str, attempt: int) -> None:
     tallies = Tallies()
     store = job_store(settings, observe=tallies.observe_store)
     worker = this_worker() or f"{socket.gethostname()}:{device}"
+    gang = gang_here()
     take = partial(
-        claim_attempt,
-        job_id,
-        attempt,
-        worker=worker,
+        claim_turn,
+        queue_names(device, 1 if gang is None else gang.place.hosts),
+        worker,
         store=store,
         objects=object_store(settings, observe=tallies.observe_store),
         lease=settings.lease,
         secret=new_secret(),
         details={"allocation": where} if (where := allocation(os.environ)) else {},
+        told=job_id,
     )
-    gang = gang_here()
     if gang is not None and not gang.answers():
         _leave_to_others(gang.problem or "A host does not answer.", draining)
         return
     try:
-        job = retry_while_unavailable(partial(store.get, job_id), called_off=draining.is_set)
-        configure_logging("worker", job_id=job_id, attempt=attempt, correlation_id=job.correlation_id)
-        look = partial(_why_left_to_others, job, store)
-        if reason := retry_while_unavailable(look, called_off=draining.is_set):
-            # The reconciler dispatches it again after it has missed it twice.
-            log.info("left_to_others", detail=reason)
-            return
-        claim = retry_while_unavailable(take, called_off=draining.is_set)
+        workers = retry_while_unavailable(store.workers, called_off=draining.is_set)
+        fits = partial(_fits, has=packages_here(), workers=workers)
+        claim = retry_while_unavailable(partial(take, fits=fits), called_off=draining.is_set)
     except (CalledOff, NotFound, JobUnreadable) as error:
         log.info("dispatch_ignored", error=str(error))
         return
     if claim is None:
         log.info("dispatch_ignored")
         return
+    configure_logging(
+        "worker", job_id=claim.job_id, attempt=claim.number, correlation_id=claim.correlation_id
+    )
     log.info("attempt_began", worker=worker)
     test = device_health.command_for(device)
     supervisor = Supervisor(
@@ -138,8 +141,12 @@ def draw_preview(document: str) -> None:
         draw(request, object_store(settings), folder, data, models=settings.models)
 
 
-def _why_left_to_others(job: Job, store: JobStore) -> str | None:
-    return why_left_to_others(job, packages_here(), store.workers())
+def _fits(job: Job, *, has: Collection[str], workers: Sequence[WorkerInfo]) -> bool:
+    """Whether it is for this worker; the reconciler sends a message for what is left to another one."""
+    reason = why_left_to_others(job, has, workers)
+    if reason is not None:
+        log.info("left_to_others", left=job.id, detail=reason)
+    return reason is None
 
 
 def _leave_to_others(reason: str, draining: Draining) -> None:

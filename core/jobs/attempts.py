@@ -1,7 +1,7 @@
 """An attempt's writes to its job: each carries the attempt's token, so that a stale one changes nothing."""
 
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
@@ -27,6 +27,7 @@ class Claim:
     token: str
     store: JobStore
     objects: ObjectStore
+    correlation_id: str | None = None
 
     def start(self, **facts: Any) -> Job:
         """Set the job to running, with facts about the attempt. A job that is being cancelled stays so.
@@ -109,6 +110,37 @@ def new_secret() -> str:
     return secrets.token_hex(8)
 
 
+def claim_turn(  # noqa: PLR0913 # Who, what, and where it is written.
+    queues: Sequence[str],
+    worker: str,
+    *,
+    store: JobStore,
+    objects: ObjectStore,
+    lease: timedelta,
+    secret: str,
+    details: Mapping[str, Any] | None = None,
+    fits: Callable[[Job], bool] = lambda job: True,
+    told: str = "",
+) -> Claim | None:
+    """Claim the job whose turn it is among those of these queues; None if there is none that may start.
+
+    The rest as for `claim_attempt` and `JobStore.take_turn`.
+    """
+    job = store.take_turn(
+        queues,
+        worker,
+        now=store.now(),
+        lease=lease,
+        secret=secret,
+        details=details,
+        fits=fits,
+        told=told,
+    )
+    if job is None:
+        return None
+    return Claim(job.id, job.attempts[-1].number, job.token, store, objects, job.correlation_id)
+
+
 def claim_attempt(  # noqa: PLR0913 # Who, what, and where it is written.
     job_id: str,
     number: int,
@@ -120,7 +152,7 @@ def claim_attempt(  # noqa: PLR0913 # Who, what, and where it is written.
     secret: str,
     details: Mapping[str, Any] | None = None,
 ) -> Claim | None:
-    """Claim a queued job; None where another attempt has it, or this dispatch is an old one.
+    """Claim this attempt, whosever turn it is; None where another one has it, or this dispatch is old.
 
     secret: a fresh one for each claim. If the answer was lost, a call with the same secret returns the same
     claim again. details: facts about the attempt that are known before it starts.

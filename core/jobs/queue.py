@@ -23,13 +23,18 @@ MOST_WAITING, MOST_SUBMITTED = 200, 100
 class JobQueue(ModelQueue, PreviewQueue, Protocol):
     """At-least-once dispatch of jobs, models and previews.
 
-    A job handed out twice is claimed only once, by the store's compare-and-set.
+    The message of an attempt says that there is work for slots of a kind: the worker that takes it claims the
+    job whose turn it is (`core.jobs.turns`). So there are about as many messages as jobs that wait, and it
+    does no harm that one comes twice or finds nothing to do.
 
     Every method raises RecordsUnavailable when the queue cannot be reached.
     """
 
-    def enqueue(self, job_id: str, attempt: int, *, name: str) -> None:
-        """Put this attempt into the queue of this name. Doing so twice changes nothing."""
+    def enqueue(self, job_id: str, attempt: int, *, name: str, again: bool = False) -> None:
+        """Put this attempt into the queue of this name. Doing so twice changes nothing.
+
+        again: also if a worker has taken its message, which then has claimed another job by it.
+        """
         ...
 
     def num_waiting(self, names: Collection[str]) -> Mapping[str, int]:
@@ -42,6 +47,10 @@ class JobQueue(ModelQueue, PreviewQueue, Protocol):
 
     def known(self) -> Collection[tuple[str, int]]:
         """Every job and attempt that waits, or that a worker has taken, in a single read."""
+        ...
+
+    def taken(self) -> Collection[tuple[str, int]]:
+        """Those of the known that only a worker has, which may have claimed another job by the message."""
         ...
 
     def strays(self) -> Set[str]:

@@ -1,7 +1,7 @@
 """Repairs what crashes left behind. Idempotent, and safe to run in many places at once."""
 
 import time
-from collections.abc import Collection, Sequence, Set
+from collections.abc import Collection, Mapping, Sequence, Set
 from contextlib import suppress
 from datetime import timedelta
 
@@ -20,6 +20,8 @@ log = structlog.get_logger()
 # How much one look hands over, and for how long at most: meanwhile no lease is watched. After Redis was
 # emptied, the next looks hand over the rest.
 _AT_ONCE, _FOR_S = 500, 1.0
+# Within so many looks a worker that has taken a message has claimed a job by it.
+_LOOKS_IF_TAKEN = 10
 # Jobs that this version cannot read are left out of later looks, so that others get their turn.
 _MOST_SET_ASIDE = 10_000
 
@@ -34,7 +36,8 @@ class Reconciler:
         self._store = store
         self._queue = queue
         self._lease = lease
-        self._missing: Set[Dispatch] = frozenset()
+        # How often in a row what waits in the record did not wait in the queue.
+        self._missing: Mapping[Dispatch, int] = {}
         self._unreadable: set[tuple[str, int]] = set()
 
     def run_once(self) -> int:
@@ -48,10 +51,10 @@ class Reconciler:
         taken = [job for job in self._store.expired() if self._take_back(job)]
         # In this order: the queue already knows a dispatch that another process hands over in between.
         late = frozenset(self._store.undispatched())
-        known = self._queue.known()
+        known, busy = self._queue.known(), frozenset(self._queue.taken())
         heard = {dispatch for dispatch in late if _is_known(dispatch, known, self._queue)}
-        handed = self._hand_over(self._lacking(late, known))
-        self._missing -= frozenset(handed)
+        handed = self._hand_over(self._lacking(late, known, busy), busy)
+        self._missing = {one: looks for one, looks in self._missing.items() if one not in frozenset(handed)}
         self._store.dispatched([*heard, *handed])
         return len({*(job.id for job in taken), *(dispatch.subject for dispatch in handed)})
 
@@ -76,23 +79,32 @@ class Reconciler:
             self._queue.remove(job.id, len(job.attempts))
         return True
 
-    def _lacking(self, late: Set[Dispatch], known: Collection[tuple[str, int]]) -> Sequence[Dispatch]:
+    def _lacking(
+        self, late: Set[Dispatch], known: Collection[tuple[str, int]], busy: Set[tuple[str, int]]
+    ) -> Sequence[Dispatch]:
         """The dispatches that the queue gets now, the most urgent first.
 
-        One that was handed over before must be missing at two looks: at one, a worker may be taking it.
+        One that was handed over before must be missing at two looks: at one, a worker may be taking it. One
+        whose message a worker has (`busy`) must be found waiting for longer: then it has another job by it.
         """
+        waits = {one for one in known if one not in busy}
         waiting = self._queue.num_waiting(all_queues(self._store.queues_of_several_hosts()))
         room = {name: MOST_WAITING - number for name, number in waiting.items() if number < MOST_WAITING}
         found = [
             dispatch
-            for dispatch in self._store.waiting(room, {*known, *self._unreadable})
-            if not _is_known(dispatch, known, self._queue)
+            for dispatch in self._store.waiting(room, {*waits, *self._unreadable})
+            if not _is_known(dispatch, waits, self._queue)
         ]
-        due = [dispatch for dispatch in found if dispatch in late or dispatch in self._missing]
-        self._missing = frozenset(found)
-        return due[:_AT_ONCE]
+        self._missing = {dispatch: self._missing.get(dispatch, 0) + 1 for dispatch in found}
 
-    def _hand_over(self, dispatches: Sequence[Dispatch]) -> list[Dispatch]:
+        def is_due(dispatch: Dispatch) -> bool:
+            if (dispatch.subject, dispatch.attempt) in busy:
+                return self._missing[dispatch] >= _LOOKS_IF_TAKEN
+            return dispatch in late or self._missing[dispatch] > 1
+
+        return [dispatch for dispatch in found if is_due(dispatch)][:_AT_ONCE]
+
+    def _hand_over(self, dispatches: Sequence[Dispatch], busy: Set[tuple[str, int]]) -> list[Dispatch]:
         """The dispatches that the queue has received; stops at the first failure: others would fail, too."""
         jobs = self._store.jobs_of([one.subject for one in dispatches if one.task == "attempt"])
         heard: list[Dispatch] = []
@@ -102,8 +114,9 @@ class Reconciler:
             if dispatch.task == "attempt" and not isinstance(job, Job):  # Deleted meanwhile, or set aside.
                 self._set_aside(dispatch)
                 continue
+            again = (dispatch.subject, dispatch.attempt) in busy
             if time.monotonic() > until or not hand_over(
-                dispatch, queue=self._queue, job=job if isinstance(job, Job) else None
+                dispatch, queue=self._queue, job=job if isinstance(job, Job) else None, again=again
             ):
                 break
             of_request = {"correlation_id": job.correlation_id} if isinstance(job, Job) else {}

@@ -11,6 +11,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import cast
 
 from core.environments.info import Device
@@ -57,6 +58,7 @@ class WantedSlots:
     oldest_queued_s: float | None
 
 
+@cache
 def kind_of_queue(name: str | None) -> SlotKind:
     """The kind of slot whose workers serve this queue."""
     match = _QUEUE.fullmatch(name or "")

@@ -1,6 +1,6 @@
 """The interface of the record: jobs, their feeds, leases and dispatches."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal, Protocol
@@ -312,6 +312,27 @@ class JobStore(ModelStore, NewsStore, UsageStore, WorkerStore, Protocol):
 
     def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
         """These jobs, read at once; unknown ones are left out."""
+        ...
+
+    def take_turn(  # noqa: PLR0913 # Who, where, and what it is told.
+        self,
+        queues: Sequence[str],
+        worker: str,
+        *,
+        now: datetime,
+        lease: timedelta,
+        secret: str,
+        details: Mapping[str, Any] | None = None,
+        fits: Callable[[Job], bool] = lambda job: True,
+        told: str = "",
+    ) -> Job | None:
+        """Claim the job whose turn it is, by `core.jobs.turns`, among the queued ones of these queues; None
+        if none may start now. The choice and the claim are one transaction, and claims come one by one.
+
+        secret: of the claim's token; a call that is repeated with the same one returns the job claimed then.
+        fits: whether this worker can run the job; it has to be quick. told: the job of RQ's message, which
+        counts for the queues also where an older version wrote its row.
+        """
         ...
 
     def undispatched(self) -> Sequence[Dispatch]:

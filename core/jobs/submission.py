@@ -186,16 +186,16 @@ def hand_over_if_room(dispatch: Dispatch, job: Job, queue: JobQueue) -> bool:
     return hand_over(dispatch, queue=queue, job=job)
 
 
-def hand_over(dispatch: Dispatch, *, queue: JobQueue, job: Job | None = None) -> bool:
+def hand_over(dispatch: Dispatch, *, queue: JobQueue, job: Job | None = None, again: bool = False) -> bool:
     """Put the dispatch into the workers' queue; returns whether that worked. If not, the reconciler retries.
 
-    job: the job of an attempt.
+    job: the job of an attempt. again: as for `JobQueue.enqueue`.
     """
     try:
         if job is None:
             queue.enqueue_model(dispatch.subject)
         else:
-            queue.enqueue(job.id, job.next_attempt, name=queue_of(job))
+            queue.enqueue(job.id, job.next_attempt, name=queue_of(job), again=again)
     except RecordsUnavailable as error:
         log.warning("dispatch_postponed", subject=dispatch.subject, error=error.detail)
         return False

@@ -31,12 +31,12 @@ WorkerState = Literal["ready", "testing", "device_failed", "incomplete"]
 class WorkerInfo(Stored):
     """A worker's report on itself, which it sends at every heartbeat.
 
-    job: the one that it took from the queue. jobs: all whose attempts it runs now; no report names them, the
-    store adds them. state: a `ready` worker takes jobs or has one; it takes none while it tests its device,
-    after that has failed a test, or while it lacks a host. problem: a sentence on that. hosts: how many
-    machines, each with such a device, take a job together. memory_bytes: of each device, where known.
-    packages: the optional packages that it has; null if a worker of an older version did not report them.
-    allocation: what the cluster that started it calls the allocation it runs in.
+    job: the one that it runs, or whose message it took from the queue. jobs: all whose attempts it runs now;
+    no report names them, the store adds them. state: a `ready` worker takes jobs or has one; it takes none
+    while it tests its device, after that has failed a test, or while it lacks a host. problem: a sentence on
+    that. hosts: how many machines, each with such a device, take a job together. memory_bytes: of each
+    device, where known. packages: the optional packages that it has; null if a worker of an older version did
+    not report them. allocation: what the cluster that started it calls the allocation it runs in.
     """
 
     name: str

@@ -61,6 +61,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "beat": lambda jobs: jobs.beat(LEASE),
         "name_model": lambda jobs: jobs.name_model(MODEL, "a dog"),
         "waiting": lambda jobs: jobs.waiting(),
+        "take_turn": lambda jobs: jobs.take_turn(["q"], "w", now=NOW, lease=LEASE, secret="s"),
         "queue_counts": lambda jobs: jobs.queue_counts(),
         "numbers": lambda jobs: jobs.numbers(),
         "usage": lambda jobs: jobs.usage(NOW),

@@ -27,6 +27,7 @@ from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, Idempotency
 from core.jobs.tallies import Tally
+from core.jobs.turns import Quota
 from core.news.webhook import Webhook
 from core.reasons import Reason
 from tests.conftest import Databases
@@ -128,6 +129,7 @@ def fill(engine: Engine) -> Job:
     jobs.delete(gone.id, gone.version)
     sweep = jobs.add_sweep(sweep_of(), Idempotency("k", "body"))
     jobs.add_trial(sweep.id, trial_of(0, job=None), None)
+    jobs.set_quota("user", "ann", Quota(running=1), Actor())
     jobs.add_tallies([Tally("series", ("label",), (1, 2), 3.0)])
     _tell_a_webhook(jobs)
     jobs.save(held(jobs, queued_job(3)).ended(JobStatus.FAILED, Reason.DIVERGED, "", NOW))

@@ -122,11 +122,11 @@ class JobQueries(Session):
 
     def save(self, job: Job, *, lease: timedelta | None = None, note: str | None = None) -> None:
         with self._transaction() as connection:
-            _save(connection, job, lease=lease, note=note)
+            save_job(connection, job, lease=lease, note=note)
 
     def take_back(self, job: Job) -> None:
         with self._transaction() as connection:
-            _save(connection, job, leases.is_over())
+            save_job(connection, job, leases.is_over())
 
     def delete(self, job_id: str, version: int) -> None:
         gone = delete(jobs).where(jobs.c.id == job_id, jobs.c.version == version).returning(jobs.c.id)
@@ -249,7 +249,7 @@ def _new_key() -> Any:
 # ---- The next version of a job, written if the stored version is the one before. -------------------------
 
 
-def _save(
+def save_job(
     connection: Connection,
     job: Job,
     *conditions: Any,

@@ -24,6 +24,7 @@ from sqlalchemy import (
     not_,
     or_,
     select,
+    text,
     true,
     union_all,
     update,
@@ -51,6 +52,15 @@ _REMOVE = delete(dispatches).where(
     dispatches.c.subject == bindparam("subject"),
     dispatches.c.attempt == bindparam("attempt"),
 )
+
+
+# The users and projects of whom as many jobs run as may.
+_HELD_BACK = text("""
+    SELECT kind, name FROM quotas WHERE running IS NOT NULL AND running <= (
+        SELECT count(*) FROM jobs WHERE status = ANY(CAST(:held AS text[]))
+            AND CASE quotas.kind WHEN 'user' THEN jobs.owner ELSE jobs.project END = quotas.name
+    )
+""")
 
 
 class LeaseQueries(Session):
@@ -97,7 +107,9 @@ class LeaseQueries(Session):
         if room is None:
             room = dict.fromkeys(all_queues(self.queues_of_several_hosts()), MOST_WAITING)
         with self._statements() as connection:
-            return [*_waiting(connection, room, but_not), *models.waiting(connection)]
+            held_back = connection.execute(_HELD_BACK, {"held": list(HELD)}).all()
+            of_jobs = _waiting(connection, room, but_not, [(row.kind, row.name) for row in held_back])
+            return [*of_jobs, *models.waiting(connection)]
 
     def queue_counts(self) -> Sequence[QueueCount]:
         with self._statements() as connection:
@@ -152,9 +164,14 @@ def forget_dispatch(connection: Connection, job_id: str) -> None:
 
 
 def _waiting(
-    connection: Connection, room: Mapping[str, int], but_not: Collection[tuple[str, int]]
+    connection: Connection,
+    room: Mapping[str, int],
+    but_not: Collection[tuple[str, int]],
+    held_back: Collection[tuple[str, str]],
 ) -> Sequence[Dispatch]:
     """For each queue the oldest jobs that may begin, as many as it has room for, in the order of `room`.
+
+    held_back: users and projects, by kind and name, whose jobs may not begin now.
 
     Its rows are found by the index `jobs_queued`: however many wait, only these are read.
     """
@@ -163,6 +180,10 @@ def _waiting(
     attempt, no = jobs.c.num_attempts + 1, bindparam("but_not", type_=ARRAY(Text))
     is_wanted = func.concat(jobs.c.id, " ", attempt) != all_(no)
     due = select(jobs.c.id, attempt.label("attempt")).where(jobs.c.status == "queued", _is_due(), is_wanted)
+    if users := [name for kind, name in held_back if kind == "user"]:
+        due = due.where(func.coalesce(jobs.c.owner, "").not_in(users))
+    if projects := [name for kind, name in held_back if kind == "project"]:
+        due = due.where(jobs.c.project.not_in(projects))
     of_queue = due.where(jobs.c.queue == wanted.c.name).order_by(jobs.c.queue, jobs.c.id).limit(wanted.c.room)
     found = of_queue.lateral("found")
     ordered = select(found).select_from(wanted.join(found, true())).order_by(wanted.c.place, found.c.id)

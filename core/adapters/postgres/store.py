@@ -13,6 +13,7 @@ from core.adapters.postgres.models import ModelQueries
 from core.adapters.postgres.news import NewsQueries, forget_old
 from core.adapters.postgres.sweeps import SweepQueries
 from core.adapters.postgres.tables import NOW, idempotency_keys, pulse, workers
+from core.adapters.postgres.turns import TurnQueries
 from core.adapters.postgres.usage import UsageQueries, fold
 from core.adapters.postgres.workers import WorkerQueries
 from core.adapters.timing import Observe, unobserved
@@ -28,6 +29,7 @@ class PostgresJobStore(
     ModelQueries,
     NewsQueries,
     SweepQueries,
+    TurnQueries,
     UsageQueries,
     WorkerQueries,
     AccountQueries,

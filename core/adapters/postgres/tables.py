@@ -15,6 +15,8 @@ sweeps      one row per sweep; `key_hash` is that of the idempotency key that it
 trials      one row per trial of a sweep: the primary key lets each number begin once
 usage       the ledger: what attempts took, by hour, project, user and device (`core.jobs.usage`)
 tallies     what workers count and time, summed over all of them (`core.jobs.tallies`)
+shares      what users have used of late: sums of one moment, which are halved by the half-life in `pulse`
+quotas      what users and projects may have (`core.jobs.quotas`)
 pulse       one row: when the reconciler last reached this database
 users, projects, members   who may use the service, and who sees what
 model_projects   the projects in which a model was sent, each with who sent it there first
@@ -110,6 +112,14 @@ Index("jobs_by_label", jobs.c.labels, postgresql_using="gin", postgresql_ops={"l
 UNFINISHED = ("queued", "starting", "running", "cancelling")
 _IS_UNFINISHED = text("status IN ('queued', 'starting', 'running', 'cancelling')")
 Index("jobs_queued", jobs.c.queue, jobs.c.id, postgresql_where=text("status = 'queued'"))
+Index(
+    "jobs_turns",
+    jobs.c.queue,
+    jobs.c.project,
+    text("coalesce(owner, '')"),
+    jobs.c.id,
+    postgresql_where=text("status = 'queued'"),
+)
 Index("jobs_unfinished", jobs.c.id, postgresql_where=_IS_UNFINISHED)
 Index("jobs_by_source", jobs.c.source, postgresql_where=_IS_UNFINISHED)
 
@@ -294,6 +304,30 @@ tallies = Table(
     Column("total", Double, nullable=False),
 )
 
+shares = Table(
+    "shares",
+    metadata,
+    # `gpu` or `cpu`, by what the attempts held.
+    *(Column(name, Text, primary_key=True) for name in ("device", "project", "owner")),
+    # GPU-seconds, or a CPU's seconds; attempts that have ended, and their seconds.
+    *(Column(name, Double, nullable=False) for name in ("amount", "attempts", "seconds")),
+    _moment("at", nullable=False),
+)
+
+quotas = Table(
+    "quotas",
+    metadata,
+    # `user` or `project`.
+    Column("kind", Text, primary_key=True),
+    Column("name", Text, primary_key=True),
+    Column("weight", Double, nullable=False),
+    # Null: as many as they like.
+    Column("running", Integer),
+    Column("queued", Integer),
+    Column("gpu_hours", Double),
+    Column("bytes", BigInteger),
+)
+
 pulse = Table(
     "pulse",
     metadata,
@@ -302,6 +336,8 @@ pulse = Table(
     # After a longer silence, attempts get time to renew their leases.
     Column("longest_silence", INTERVAL, nullable=False, server_default="0"),
     _moment("quiet_until", nullable=False),
+    # Of what was used, as the reconciler is set up.
+    Column("half_life", INTERVAL, nullable=False, server_default="3 days"),
 )
 
 users = Table(

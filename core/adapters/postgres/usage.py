@@ -113,10 +113,43 @@ _TALLY = text(
 )
 
 
+# What was there is halved by the time since; PostgreSQL refuses a power too small for its numbers.
+_LEFT = """
+    power(0.5, least(100, greatest(0, extract(epoch FROM clock_timestamp() - shares.at)
+        / extract(epoch FROM coalesce((SELECT half_life FROM pulse), interval '3 days')))))
+"""
+_CHARGE = text(f"""
+    INSERT INTO shares (device, project, owner, amount, attempts, seconds, at)
+    VALUES (:device, :project, :owner, :amount, 1, :seconds, clock_timestamp())
+    ON CONFLICT (device, project, owner) DO UPDATE SET
+        amount = shares.amount * {_LEFT} + excluded.amount,
+        attempts = shares.attempts * {_LEFT} + 1,
+        seconds = shares.seconds * {_LEFT} + excluded.seconds,
+        at = excluded.at
+""")  # noqa: S608 # A constant.
+SHARES = text(f"""
+    SELECT device, project, owner, amount * {_LEFT} AS amount, seconds / attempts AS usual_s FROM shares
+""")  # noqa: S608 # A constant.
+
+
 def enter(connection: Connection, job: Job, before: JobStatus) -> None:
     """Add to the ledger what a change of the job's status means for it."""
-    if new := entries(job, before):
-        connection.execute(_ENTER, [asdict(entry) for entry in new])
+    new = entries(job, before)
+    if not new:
+        return
+    connection.execute(_ENTER, [asdict(entry) for entry in new])
+    if any(entry.attempts for entry in new):
+        seconds, gpu_seconds = (
+            sum(getattr(entry, name) for entry in new) for name in ("seconds", "gpu_seconds")
+        )
+        share = {
+            "device": "gpu" if gpu_seconds else "cpu",
+            "project": new[-1].project,
+            "owner": new[-1].owner,
+            "amount": gpu_seconds or seconds * job.spec.resources.hosts,
+            "seconds": seconds,
+        }
+        connection.execute(_CHARGE, share)
 
 
 def fold(connection: Connection) -> None:

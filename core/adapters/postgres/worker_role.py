@@ -28,6 +28,8 @@ RIGHTS = {
     "pulse": "SELECT",
     "news": "INSERT",
     "usage": "SELECT, INSERT, UPDATE",
+    "shares": "SELECT, INSERT, UPDATE",
+    "quotas": "SELECT",
 }
 
 

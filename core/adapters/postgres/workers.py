@@ -63,7 +63,9 @@ def _readable(rows: Sequence[Row[Any, Any, Any]]) -> list[WorkerInfo]:
     for row in rows:
         try:
             worker = WorkerInfo.model_validate_json(row.document)
-            found.append(worker.model_copy(update={"jobs": tuple(row.jobs or ())}))
+            # It may have claimed another job than that of its message.
+            own = row.jobs[0] if row.jobs else worker.job
+            found.append(worker.model_copy(update={"jobs": tuple(row.jobs or ()), "job": own}))
         except ValidationError as error:
             log.warning("worker_unreadable", problem=str(error))
     return found

@@ -1,5 +1,6 @@
 """The job queue on RQ."""
 
+import secrets
 import time
 from collections.abc import Callable, Collection, Mapping, Set
 from contextlib import suppress
@@ -59,8 +60,12 @@ class RQQueue:
         self.observe = observe
 
     @_reaching
-    def enqueue(self, job_id: str, attempt: int, *, name: str) -> None:
-        self._enqueue(name, _rq_id(job_id, attempt), TASK, (job_id, attempt))
+    def enqueue(self, job_id: str, attempt: int, *, name: str, again: bool = False) -> None:
+        rq_id = _rq_id(job_id, attempt)
+        if again and (job_id, attempt) in _attempts(self._messages()[1]):
+            # RQ has each id once, as long as its worker is busy.
+            rq_id = f"{rq_id}_{secrets.token_hex(4)}"
+        self._enqueue(name, rq_id, TASK, (job_id, attempt))
 
     @_reaching
     def num_waiting(self, names: Collection[str]) -> Mapping[str, int]:
@@ -75,8 +80,12 @@ class RQQueue:
 
     @_reaching
     def known(self) -> Collection[tuple[str, int]]:
-        names = (name.rpartition("_") for name in self._held())
-        return {(job_id, int(attempt)) for job_id, _, attempt in names if job_id and attempt.isdecimal()}
+        return _attempts(self._held())
+
+    @_reaching
+    def taken(self) -> Collection[tuple[str, int]]:
+        waiting, started = self._messages()
+        return _attempts(started) - _attempts(waiting)
 
     @_reaching
     def strays(self) -> Set[str]:
@@ -119,15 +128,23 @@ class RQQueue:
         return sum(rq_id.startswith(_preview_rq_id("")) for rq_id in waiting)
 
     def _held(self) -> Set[str]:
-        """RQ's ids of messages that wait, or that a worker has started and prolongs."""
+        waiting, started = self._messages()
+        return waiting | started
+
+    def _messages(self) -> tuple[Set[str], Set[str]]:
+        """RQ's ids of messages that wait, and of those that a worker has started and prolongs."""
         queues = Queue.all(connection=self._redis, serializer=JSONSerializer)  # pyright: ignore[reportUnknownMemberType]
         with self._redis.pipeline(transaction=False) as pipeline:
             for queue in queues:
                 pipeline.lrange(queue.key, 0, -1)
                 pipeline.zrangebyscore(queue.started_job_registry.key, time.time(), "+inf")
             found: list[list[bytes]] = pipeline.execute()
-        # A started message is listed with the id of its execution after a colon.
-        return {name.decode(errors="replace").partition(":")[0] for names in found for name in names}
+        waiting, started = (
+            # A started message is listed with the id of its execution after a colon.
+            {name.decode(errors="replace").partition(":")[0] for names in found[at::2] for name in names}
+            for at in (0, 1)
+        )
+        return waiting, started
 
     def _enqueue(self, name: str, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
         queue = Queue(name, connection=self._redis, serializer=JSONSerializer)
@@ -191,11 +208,18 @@ def this_worker() -> str | None:
 
 def job_of(rq_id: str) -> str | None:
     """The id of the job whose attempt has this id in RQ; None if it is not an attempt's."""
-    return rq_id.rpartition("_")[0] or None
+    job_id, of_attempt, _ = rq_id.partition("_")
+    return job_id if of_attempt else None
 
 
 def _rq_id(job_id: str, attempt: int) -> str:
     return f"{job_id}_{attempt}"
+
+
+def _attempts(rq_ids: Set[str]) -> Set[tuple[str, int]]:
+    """The jobs and attempts of these messages; a third part tells messages of one attempt apart."""
+    parts = (rq_id.split("_") for rq_id in rq_ids)
+    return {(part[0], int(part[1])) for part in parts if len(part) in (2, 3) and part[1].isdecimal()}
 
 
 def _model_rq_id(model_id: str) -> str:

@@ -15,7 +15,9 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC
+from core.jobs.status import JobStatus
 from core.jobs.submission import submit
+from core.reasons import Reason
 from core.settings import WorkerSettings
 from tests.unit.worker.environments import environment
 
@@ -68,12 +70,13 @@ def test_a_gpu_that_has_gone_costs_the_job_nothing_and_a_drain_ends_the_pause(
 
 
 def test_the_spools_of_killed_attempts_go_before_the_disk_is_looked_at(
-    job: Job, settings: WorkerSettings
+    job: Job, settings: WorkerSettings, job_store: PostgresJobStore
 ) -> None:
+    job_store.save(job.ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, "", job_store.now()))
     left = settings.data_dir / "spool" / "job.1"
     left.mkdir(parents=True)
     (left / "checkpoint").touch()
-    with dispatched(job, 2, settings) as process:  # Of an attempt that is not due.
+    with dispatched(job, 1, settings) as process:
         log, _ = process.communicate(timeout=30)
     assert json.loads(log)["event"] == "dispatch_ignored"
     assert not left.exists()

@@ -1,0 +1,163 @@
+"""Whose turn it is, decided where a job is claimed: in one transaction, which no other claim runs beside.
+
+`core.jobs.turns` decides. It is told of the oldest waiting job of each queue and user, which an index has, so
+that a claim takes as long among ten thousand jobs as among ten.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from datetime import datetime, timedelta
+from typing import Any
+
+from sqlalchemy import Connection, Row, select, text
+from sqlalchemy.dialects.postgresql import insert
+
+from core.accounts.store import Actor
+from core.adapters.postgres.accounts import note_audit
+from core.adapters.postgres.engine import Session
+from core.adapters.postgres.jobs import save_job
+from core.adapters.postgres.rows import HELD, find_job, readable
+from core.adapters.postgres.tables import quotas as quotas_table
+from core.adapters.postgres.usage import SHARES
+from core.jobs.job import Job
+from core.jobs.queue import PRIORITIES
+from core.jobs.slots import kind_of_queue
+from core.jobs.turns import Held, Quota, Quotas, Request, Standings, Who, in_order
+
+# An arbitrary number of ours: two claims wait for each other. Without sorting, PostgreSQL walks the index
+# `jobs_turns` also where it has no statistics yet.
+_BEGIN = text("SELECT pg_advisory_xact_lock(7310582061), set_config('enable_sort', 'off', true)")
+# As `leases._is_due`: a pause that is longer than any was set before the clock was.
+_DUE = """
+    status = 'queued' AND id <> ALL(CAST(:but_not AS text[]))
+    AND (not_before IS NULL OR not_before < clock_timestamp()
+        OR not_before > clock_timestamp() + interval '60 s')
+"""
+_HEAD = "SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs"
+# The oldest job of each queue, project and user. A row without a queue is of an older version.
+_HEADS = text(f"""
+    WITH RECURSIVE heads AS (
+        SELECT first.* FROM unnest(CAST(:queues AS text[])) AS queues (name) CROSS JOIN LATERAL (
+            {_HEAD} WHERE queue = queues.name AND {_DUE}
+            ORDER BY project, coalesce(owner, ''), id LIMIT 1
+        ) AS first
+        UNION ALL
+        SELECT following.* FROM heads CROSS JOIN LATERAL (
+            {_HEAD} WHERE queue = heads.queue
+                AND (project, coalesce(owner, '')) > (heads.project, heads.owner) AND {_DUE}
+            ORDER BY project, coalesce(owner, ''), id LIMIT 1
+        ) AS following
+    )
+    SELECT * FROM heads
+    UNION ALL
+    {_HEAD} WHERE id = :told AND queue IS NULL AND {_DUE}
+""")  # noqa: S608 # A constant.
+_RUNNING = text("""
+    SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token, attempts.worker,
+        CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s
+    FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
+    WHERE jobs.status = ANY(CAST(:held AS text[]))
+""")
+# A worker that lacks something for so many jobs in a row leaves the rest for its next turn.
+_MOST_UNFIT = 100
+
+
+class TurnQueries(Session):
+    """The part of a JobStore that says which job is next, and what users and projects may have."""
+
+    def take_turn(  # noqa: PLR0913 # Who, where, and what it is told.
+        self,
+        queues: Sequence[str],
+        worker: str,
+        *,
+        now: datetime,
+        lease: timedelta,
+        secret: str,
+        details: Mapping[str, Any] | None = None,
+        fits: Callable[[Job], bool] = lambda job: True,
+        told: str = "",
+    ) -> Job | None:
+        unfit = list[str]()
+        with self._transaction() as connection:
+            connection.execute(_BEGIN)
+            running = connection.execute(_RUNNING, {"held": list(HELD)}).all()
+            if mine := [row.id for row in running if row.token.endswith(f"-{secret}")]:
+                return readable(find_job(connection, mine[0]))  # The answer to an earlier call was lost.
+            while len(unfit) < _MOST_UNFIT:
+                heads = _heads(connection, queues, unfit, told)
+                first = (
+                    next(in_order(heads, _standings(connection, queues, running)), None) if heads else None
+                )
+                if first is None:
+                    break
+                job = find_job(connection, first.id)
+                if isinstance(job, Job) and fits(job):
+                    claimed = job.claimed(worker, now, secret, details)
+                    save_job(connection, claimed, lease=lease)
+                    return claimed
+                unfit.append(first.id)
+        return None
+
+    def used(self) -> Mapping[str, Mapping[Who, float]]:
+        with self._statements() as connection:
+            rows = connection.execute(SHARES).all()
+        found = dict[str, dict[Who, float]]()
+        for row in rows:
+            found.setdefault(row.device, {})[row.project, row.owner] = row.amount
+        return found
+
+    def quotas(self) -> Quotas:
+        with self._statements() as connection:
+            return _quotas(connection)
+
+    def set_quota(self, kind: str, name: str, quota: Quota, actor: Actor) -> None:
+        values = asdict(quota)
+        write = insert(quotas_table).values(kind=kind, name=name, **values)
+        with self._transaction() as connection:
+            connection.execute(write.on_conflict_do_update(index_elements=["kind", "name"], set_=values))
+            note_audit(connection, actor, "quota.set", f"{kind} {name}", **values)
+
+
+def _heads(connection: Connection, queues: Sequence[str], but_not: Sequence[str], told: str) -> list[Request]:
+    values = {"queues": list(queues), "but_not": list(but_not), "told": told}
+    return [request(row.id, row.queue, row.project, row.owner) for row in connection.execute(_HEADS, values)]
+
+
+def request(job_id: str, queue: str | None, project: str, owner: str) -> Request:
+    """The request of a waiting job. A row without a queue is of an older version, and no urgent one."""
+    priority = (queue or "").rpartition("-")[2]
+    rank = PRIORITIES.index(priority) if priority in PRIORITIES else len(PRIORITIES)
+    kind = kind_of_queue(queue)
+    return Request(job_id, rank, (project, owner), max(1, kind.gpus) * kind.hosts)
+
+
+def _standings(connection: Connection, queues: Sequence[str], running: Sequence[Row[Any]]) -> Standings:
+    """Of the kind of device whose workers serve these queues."""
+    device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in queues) else "cpu"
+    use, usual_s = dict[Who, float](), dict[Who, float]()
+    for row in connection.execute(SHARES):
+        if row.device == device:
+            use[row.project, row.owner], usual_s[row.project, row.owner] = row.amount, row.usual_s
+    held = list[Held]()
+    others = list[Who]()
+    for row in running:
+        who: Who = (row.project, row.owner)
+        if ("gpu" if ":gpu" in row.worker else "cpu") == device:  # As a worker names itself.
+            of_job = kind_of_queue(row.queue)
+            gpus = max(1, of_job.gpus) * of_job.hosts
+            expected = usual_s.get(who)
+            ends_at = None if expected is None else expected - row.age_s
+            held.append(Held(row.id, 0, who, gpus, -row.age_s, ends_at))
+        else:
+            others.append(who)
+    return Standings(use, held, elsewhere=others, quotas=_quotas(connection))
+
+
+def _quotas(connection: Connection) -> Quotas:
+    found = connection.execute(select(quotas_table)).all()
+    return Quotas(
+        {
+            (row.kind, row.name): Quota(row.weight, row.running, row.queued, row.gpu_hours, row.bytes)
+            for row in found
+        }
+    )

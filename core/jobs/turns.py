@@ -1,0 +1,326 @@
+"""Whose turn it is: which waiting job a free slot takes, and what a job waits for. Pure: no clock, no store.
+
+Higher priority comes first. Inside a priority the project comes first that has used least for its weight, in
+it the user who has; and of one user's jobs the oldest. Use is GPU-seconds (a machine without GPUs: seconds),
+halved every half-life. A job that runs counts at once with all that it is expected to use: otherwise a
+hundred jobs of one user would all start before the first of them has used anything.
+
+The first job in this order that fits nowhere has a machine kept for it, the one that will have room first.
+Others pass it where they do not delay it: on other machines, on GPUs that it leaves over, or if they are
+expected to end before (EASY backfill: Lifka 1995, "The ANL/IBM SP scheduling system").
+
+Times are seconds of any one clock. Everything in here is a function of what is passed in: `bench turns` runs
+a month of it.
+"""
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from heapq import heapify, heappop, heapreplace
+
+# A project and a user in it; the user is empty without accounts.
+Who = tuple[str, str]
+# The least for which a running job counts.
+ADVANCE_S = 900.0
+# The part of the pools that is kept for jobs which fit nowhere; at least one.
+MOST_KEPT = 0.25
+# What is expected of a job that has run for longer than expected: that it goes on for this long.
+_OVERDUE_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A waiting job. rank: 0 for the highest priority. gpus: 0 for one that takes a machine's CPU.
+
+    expected_s: for how long such jobs have run; None where nothing was measured. kind: of the slot it needs.
+    """
+
+    id: str
+    rank: int
+    who: Who
+    gpus: int = 1
+    expected_s: float | None = None
+    kind: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A running job, with what it holds of which pool. ends_at: an estimate; None without one.
+
+    lost_s: the seconds of work that it would do again after a drain. is_preemptible: it said so itself.
+    """
+
+    id: str
+    rank: int
+    who: Who
+    gpus: int
+    started_at: float
+    ends_at: float | None = None
+    pool: str = ""
+    is_preemptible: bool = False
+    lost_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pool:
+    """The GPUs of a machine that jobs share out among themselves; or a slot for one job."""
+
+    name: str
+    gpus: int
+    free: int
+
+
+@dataclass(frozen=True, slots=True)
+class Quota:
+    """What an administrator allows a user, or a project. weight: of its share. running: jobs at once.
+
+    The others are checked when a job is submitted: queued jobs, GPU-hours of a week, bytes stored.
+    """
+
+    weight: float = 1.0
+    running: int | None = None
+    queued: int | None = None
+    gpu_hours: float | None = None
+    bytes: int | None = None
+
+
+NO_QUOTA = Quota()
+
+
+@dataclass(frozen=True, slots=True)
+class Quotas:
+    """Those that were set, by the kind (`user` or `project`) and the name."""
+
+    by_party: Mapping[tuple[str, str], Quota]
+
+    def of(self, kind: str, name: str) -> Quota:
+        return self.by_party.get((kind, name), NO_QUOTA)
+
+
+NO_QUOTAS = Quotas({})
+
+
+def parties(who: Who) -> Sequence[tuple[str, str]]:
+    """Whose quotas a job counts for."""
+    return (("user", who[1]), ("project", who[0]))
+
+
+def decayed(amount: float, at: float, now: float, half_life_s: float) -> float:
+    """What is left of an amount that was true at a moment. A moment ahead is now: a clock was set."""
+    return amount * 2.0 ** (-max(0.0, now - at) / half_life_s)
+
+
+def cost(gpus: int, seconds: float) -> float:
+    """What a job uses in this time: GPU-seconds, or a CPU's seconds."""
+    return max(1, gpus) * seconds
+
+
+# ---- The order. -------------------------------------------------------------------------------------------
+
+
+class Standings:
+    """Who has used how much for their weight, and how many of whose jobs run.
+
+    use: decayed, of attempts that have ended. elsewhere: those with a job on devices of another kind, which
+    counts for quotas alone.
+    """
+
+    def __init__(
+        self,
+        use: Mapping[Who, float],
+        running: Iterable[Held] = (),
+        *,
+        elsewhere: Iterable[Who] = (),
+        quotas: Quotas = NO_QUOTAS,
+        now: float = 0.0,
+    ) -> None:
+        self._quotas = quotas
+        self._of_user, self._of_project = defaultdict[Who, float](float), defaultdict[str, float](float)
+        self._running = Counter[tuple[str, str]]()
+        for who, amount in use.items():
+            self._add(who, amount)
+        for held in running:
+            until = now if held.ends_at is None else max(now, held.ends_at)
+            self._add(held.who, cost(held.gpus, max(ADVANCE_S, until - held.started_at)))
+            self._count(held.who)
+        for who in elsewhere:
+            self._count(who)
+
+    def start(self, request: Request) -> None:
+        """Count a job that starts now."""
+        self._add(request.who, cost(request.gpus, max(ADVANCE_S, request.expected_s or 0.0)))
+        self._count(request.who)
+
+    def key(self, request: Request) -> tuple[int, float, float, str]:
+        """The request with the smallest one has the turn. No key becomes smaller when a job starts."""
+        project, user = request.who
+        of_project = _for_weight(self._of_project[project], self._quotas.of("project", project).weight)
+        of_user = _for_weight(self._of_user[request.who], self._quotas.of("user", user).weight)
+        return (request.rank, of_project, of_user, request.id)
+
+    def limit(self, who: Who) -> str | None:
+        """A sentence if as many of their jobs run as may; None if another one may start."""
+        for kind, name in parties(who):
+            most, number = self._quotas.of(kind, name).running, self._running[kind, name]
+            if most == 0:
+                return f"The {kind} {name} may run nothing: its quota of running jobs is 0."
+            if most is not None and number >= most:
+                return (
+                    f"{number} jobs of the {kind} {name} run, and its quota is {most}: one has to end first."
+                )
+        return None
+
+    def _add(self, who: Who, amount: float) -> None:
+        self._of_user[who] += amount
+        self._of_project[who[0]] += amount
+
+    def _count(self, who: Who) -> None:
+        self._running.update(parties(who))
+
+
+def _for_weight(use: float, weight: float) -> float:
+    """Nothing comes after a weight of 0."""
+    return use / weight if weight > 0 else math.inf
+
+
+def in_order(requests: Iterable[Request], standings: Standings) -> Iterator[Request]:
+    """The requests in their turns, if each one starts before the next is chosen.
+
+    Leaves out those whom a quota holds back until a job ends. Changes the standings.
+    """
+    waiting = defaultdict[tuple[int, Who], list[Request]](list)
+    for request in requests:
+        waiting[request.rank, request.who].append(request)
+    for queue in waiting.values():
+        queue.sort(key=lambda request: request.id, reverse=True)
+    heads = [(standings.key(queue[-1]), group) for group, queue in waiting.items()]
+    heapify(heads)
+    while heads:
+        said, group = heads[0]
+        request = waiting[group][-1]
+        now = standings.key(request)
+        if standings.limit(request.who) is not None:
+            heappop(heads)
+        elif now != said:  # Others of its project have started; keys only grow.
+            heapreplace(heads, (now, group))
+        else:
+            waiting[group].pop()
+            yield request
+            standings.start(request)
+            if waiting[group]:
+                heapreplace(heads, (standings.key(waiting[group][-1]), group))
+            else:
+                heappop(heads)
+
+
+# ---- Which one a pool takes, and what is kept for whom. ---------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Reservation:
+    """A pool that is kept for the first job that fits nowhere.
+
+    from_s: when it has room, by what is expected. spare: GPUs that it will have beyond the job's.
+    """
+
+    request: Request
+    pool: str
+    from_s: float
+    spare: int
+
+
+def choose(
+    offer: Pool, ordered: Iterable[Request], pools: Sequence[Pool], running: Sequence[Held], now: float
+) -> Request | None:
+    """The job that this pool takes now; None if none fits, or only such as would delay the first in turn.
+
+    ordered: as `in_order` has them. pools: all, with the offer. running: what these pools hold.
+    """
+    kept = dict[str, Reservation]()
+    most = max(1, int(MOST_KEPT * len(pools)))
+    for request in ordered:
+        if request.gpus <= offer.free and not _delays(request, offer, kept, now):
+            return request
+        if len(kept) < most and not any(request.gpus <= pool.free for pool in pools if pool.name not in kept):
+            others = [pool for pool in pools if pool.name not in kept]
+            if (found := reserve(request, others, running, now)) is not None:
+                kept[found.pool] = found
+    return None
+
+
+def reserve(
+    request: Request, pools: Sequence[Pool], running: Sequence[Held], now: float
+) -> Reservation | None:
+    """The pool that will have room for the job first; None if it is too large for all of them."""
+    found = [
+        Reservation(request, pool.name, *_room(request.gpus, pool, running, now))
+        for pool in pools
+        if request.gpus <= pool.gpus
+    ]
+    # Of several without an estimate, the one that is emptiest now.
+    free = {pool.name: pool.free for pool in pools}
+    return min(found, key=lambda one: (one.from_s, -free[one.pool], one.pool), default=None)
+
+
+def _room(gpus: int, pool: Pool, running: Sequence[Held], now: float) -> tuple[float, int]:
+    """When the pool has this many GPUs, and how many it has then beyond them."""
+    free, moment = pool.free, now
+    for ends_at, freed in sorted((_end(held, now), held.gpus) for held in running if held.pool == pool.name):
+        if free >= gpus:
+            break
+        free, moment = free + freed, ends_at
+    return moment, free - gpus
+
+
+def _end(held: Held, now: float) -> float:
+    if held.ends_at is None:
+        return math.inf
+    return held.ends_at if held.ends_at > now else now + _OVERDUE_S
+
+
+def _delays(request: Request, offer: Pool, kept: Mapping[str, Reservation], now: float) -> bool:
+    """Whether it would delay the job for which the pool is kept."""
+    here = kept.get(offer.name)
+    if here is None or request.gpus <= here.spare:
+        return False
+    return request.expected_s is None or now + request.expected_s > here.from_s
+
+
+def to_drain(request: Request, pools: Sequence[Pool], running: Sequence[Held]) -> Sequence[Held]:
+    """The running jobs that would make room for this one: of one pool, and those that lose least by it.
+
+    Only jobs of lower priority, and of the same one those that said that they are preemptible, and are
+    another user's. Empty if that makes no room, or there is room.
+    """
+    if any(request.gpus <= pool.free for pool in pools):
+        return []
+    found = [_victims(request, pool, running) for pool in pools if request.gpus <= pool.gpus]
+    return min(filter(None, found), key=_loss, default=list[Held]())
+
+
+def _victims(request: Request, pool: Pool, running: Sequence[Held]) -> list[Held]:
+    may = [held for held in running if held.pool == pool.name and _yields(held, request)]
+    may.sort(key=lambda held: (-held.rank, held.lost_s * held.gpus, held.id))
+    chosen, free = list[Held](), pool.free
+    for held in may:
+        if free < request.gpus:
+            chosen.append(held)
+            free += held.gpus
+    if free < request.gpus:
+        return []
+    for held in sorted(chosen, key=lambda held: held.lost_s * held.gpus, reverse=True):
+        if free - held.gpus >= request.gpus:  # Those after it were enough.
+            chosen.remove(held)
+            free -= held.gpus
+    return chosen
+
+
+def _yields(held: Held, request: Request) -> bool:
+    is_preemptible = held.is_preemptible and held.rank == request.rank and held.who != request.who
+    return held.rank > request.rank or is_preemptible
+
+
+def _loss(victims: Sequence[Held]) -> tuple[int, float]:
+    """The most urgent victim, and the GPU-seconds that all of them do again."""
+    return -min(held.rank for held in victims), sum(held.lost_s * held.gpus for held in victims)

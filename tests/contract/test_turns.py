@@ -1,0 +1,169 @@
+"""Which job a worker gets, in the real record; and that none is lost or claimed twice."""
+
+from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
+from itertools import count
+
+import pytest
+import redis
+
+from core.accounts.store import Actor
+from core.adapters.postgres.store import PostgresJobStore
+from core.adapters.rq.queue import RQQueue
+from core.jobs.attempts import Claim, claim_turn, new_secret
+from core.jobs.job import Job
+from core.jobs.queue import queue_name, queue_names
+from core.jobs.reconciliation import Reconciler
+from core.jobs.spec import JOB_SPEC
+from core.jobs.status import JobStatus
+from core.jobs.turns import Quota
+from core.reasons import Reason
+from tests.contract.recording import LEASE, NOW, Database
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
+
+_NUMBERS = count()
+
+
+def add(store: PostgresJobStore, owner: str | None = None, project: str = "default", **fields: object) -> Job:
+    """A job that is younger than those before."""
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
+    job_id = f"{next(_NUMBERS):012x}-0000000000"
+    return store.add(Job(id=job_id, spec=spec, created_at=NOW, owner=owner, project=project))
+
+
+def take(store: PostgresJobStore, device: str = "cpu", secret: str = "", **more: object) -> Claim | None:
+    return claim_turn(
+        queue_names(device),
+        f"host:{device}:00000a",
+        store=store,
+        objects=MemoryObjectStore(),
+        lease=LEASE,
+        secret=secret or new_secret(),
+        **more,  # type: ignore[arg-type]
+    )
+
+
+def taken(store: PostgresJobStore, number: int, device: str = "cpu") -> list[str]:
+    claims = [take(store, device) for _ in range(number)]
+    return [claim.job_id for claim in claims if claim is not None]
+
+
+def test_jobs_of_one_user_are_claimed_by_priority_and_then_by_age(job_store: PostgresJobStore) -> None:
+    low, first, second = add(job_store, priority="low"), add(job_store), add(job_store)
+    high = add(job_store, priority="high")
+    assert taken(job_store, 5) == [high.id, first.id, second.id, low.id]
+
+
+def test_a_slot_gets_only_jobs_of_its_kind(job_store: PostgresJobStore) -> None:
+    on_gpu, on_two = add(job_store, resources={"gpus": 1}), add(job_store, resources={"gpus": 2})
+    anywhere = add(job_store)
+    assert taken(job_store, 2) == [anywhere.id]
+    assert taken(job_store, 2, "gpu:0,1") == [on_two.id]
+    assert taken(job_store, 2, "gpu:0") == [on_gpu.id]
+
+
+def test_users_take_turns_and_what_they_used_is_remembered(
+    job_store: PostgresJobStore, database: Database
+) -> None:
+    ann = [add(job_store, "ann") for _ in range(3)]
+    ben = add(job_store, "ben")
+    claims = [take(job_store) for _ in range(2)]
+    assert [claim.job_id for claim in claims if claim] == [ann[0].id, ben.id]
+    database.change("UPDATE attempts SET started_at = started_at - interval '2 h' WHERE job_id = %s", ben.id)
+    for claim in claims:
+        assert claim is not None
+        claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    add(job_store, "ben")
+    assert taken(job_store, 2) == [ann[1].id, ann[2].id]
+
+
+def test_use_is_halved_every_half_life_and_added_up(job_store: PostgresJobStore, database: Database) -> None:
+    """An hour on two GPUs three days ago, and half an hour on one now: 3,600 + 1,800 GPU-seconds."""
+    job_store.beat(LEASE)
+    for gpus, hours, device in ((2, 1.0, "gpu:0,1"), (1, 0.5, "gpu:0")):
+        add(job_store, "ann", resources={"gpus": gpus})
+        claim = take(job_store, device)
+        assert claim is not None
+        begun = timedelta(hours=hours)
+        database.change(
+            "UPDATE attempts SET started_at = clock_timestamp() - %s WHERE ended_at IS NULL", begun
+        )
+        claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+        if gpus == 2:
+            database.change("UPDATE shares SET at = at - interval '3 days'")
+    assert job_store.used() == {"gpu": {("default", "ann"): pytest.approx(5400, rel=1e-3)}}
+
+
+def test_as_many_jobs_run_as_the_quota_says(job_store: PostgresJobStore) -> None:
+    jobs = [add(job_store, "ann") for _ in range(3)]
+    job_store.set_quota("user", "ann", Quota(running=1), Actor())
+    assert job_store.quotas().of("user", "ann") == Quota(running=1)
+    first = take(job_store)
+    assert first is not None
+    assert take(job_store) is None
+    assert job_store.waiting() == []  # The reconciler sends no message for what may not begin.
+    first.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    assert [dispatch.subject for dispatch in job_store.waiting()] == [job.id for job in jobs[1:]]
+    assert taken(job_store, 1) == [jobs[1].id]
+
+
+def test_a_job_that_the_worker_cannot_run_is_passed_over(job_store: PostgresJobStore) -> None:
+    jobs = [add(job_store) for _ in range(3)]
+    claim = take(job_store, fits=lambda job: job.id == jobs[2].id)
+    assert claim is not None
+    assert claim.job_id == jobs[2].id
+
+
+def test_a_claim_whose_answer_was_lost_is_the_same_again(job_store: PostgresJobStore) -> None:
+    add(job_store)
+    add(job_store)
+    first, again = take(job_store, secret="ab" * 8), take(job_store, secret="ab" * 8)
+    assert first is not None
+    assert again is not None
+    assert (again.job_id, again.token) == (first.job_id, first.token)
+
+
+def test_of_many_who_ask_at_once_each_gets_another_job(job_store: PostgresJobStore) -> None:
+    jobs = [add(job_store, f"u{number % 3}") for number in range(12)]
+    with ThreadPoolExecutor(8) as pool:
+        claims = list(pool.map(lambda _: take(job_store), range(16)))
+    found = [claim.job_id for claim in claims if claim is not None]
+    assert sorted(found) == sorted(job.id for job in jobs)
+
+
+def test_a_row_of_an_older_version_without_a_queue_is_claimed_by_its_message(
+    job_store: PostgresJobStore, database: Database
+) -> None:
+    job = add(job_store)
+    database.change("UPDATE jobs SET queue = NULL")
+    assert take(job_store) is None
+    claim = take(job_store, told=job.id)
+    assert claim is not None
+
+
+def test_a_job_whose_message_another_one_was_claimed_by_gets_a_second_message(
+    job_store: PostgresJobStore, redis_client: redis.Redis
+) -> None:
+    """A worker takes the message of the second job and claims the first one, whose message is lost."""
+    first, second = add(job_store), add(job_store)
+    queue, name = RQQueue(redis_client), queue_name("any", "normal")
+    queue.enqueue(second.id, 1, name=name)
+    redis_client.lpop(f"rq:queue:{name}")
+    redis_client.zadd(f"rq:wip:{name}", {f"{second.id}_1:execution": "inf"})
+    redis_client.zadd(f"rq:executions:{second.id}_1", {"execution": "inf"})
+    assert taken(job_store, 1) == [first.id]
+    assert (queue.known(), queue.taken()) == ({(second.id, 1)}, {(second.id, 1)})
+    reconciler = Reconciler(job_store, queue, LEASE)
+    looks = [reconciler.run_once() for _ in range(12)]
+    assert (sum(looks), looks.index(1)) == (1, 9)
+    assert queue.num_waiting([name]) == {name: 1}
+    assert (queue.known(), queue.taken()) == ({(second.id, 1)}, set())
+
+
+def test_in_memory_too_a_message_comes_again() -> None:
+    queue, name = MemoryJobQueue(), queue_name("any", "normal")
+    queue.enqueue("a", 1, name=name)
+    queue.take()
+    assert queue.taken() == {("a", 1)}
+    queue.enqueue("a", 1, name=name, again=True)
+    assert (queue.taken(), queue.num_waiting([name])) == (set(), {name: 1})

@@ -1,0 +1,177 @@
+"""Whose turn it is, by numbers that one can check by hand."""
+
+import pytest
+
+from core.jobs.forecast import Lane, forecasts
+from core.jobs.turns import (
+    ADVANCE_S,
+    Held,
+    Pool,
+    Quota,
+    Quotas,
+    Request,
+    Standings,
+    choose,
+    decayed,
+    in_order,
+    reserve,
+    to_drain,
+)
+
+ANN, BEN, EVE = ("gaits", "ann"), ("gaits", "ben"), ("arms", "eve")
+
+
+def asks(name: str, who: tuple[str, str] = ANN, gpus: int = 1, rank: int = 1, **more: float) -> Request:
+    return Request(name, rank, who, gpus, **more)
+
+
+def holds(
+    name: str, who: tuple[str, str] = ANN, gpus: int = 1, *, pool: str = "", ends_at: float | None = None
+) -> Held:
+    return Held(name, 1, who, gpus, 0.0, ends_at, pool)
+
+
+def names(requests: list[Request], standings: Standings) -> str:
+    return "".join(request.id for request in in_order(requests, standings))
+
+
+def test_what_was_used_is_halved_every_half_life() -> None:
+    assert decayed(80.0, at=0.0, now=30.0, half_life_s=10.0) == 10.0
+    assert decayed(80.0, at=50.0, now=30.0, half_life_s=10.0) == 80.0  # A clock was set back.
+
+
+def test_jobs_of_one_user_come_by_priority_and_then_by_age() -> None:
+    waiting = [asks("d"), asks("a", rank=2), asks("c"), asks("e", rank=0), asks("b")]
+    assert names(waiting, Standings({ANN: 1e9})) == "ebcda"
+
+
+def test_users_take_turns_however_many_jobs_the_first_has() -> None:
+    waiting = [*(asks(name) for name in "abcd"), asks("e", BEN), asks("f", BEN)]
+    assert names(waiting, Standings({})) == "aebfcd"
+
+
+def test_who_has_used_less_comes_first_until_they_have_used_as_much() -> None:
+    waiting = [*(asks(name) for name in "abc"), *(asks(name, BEN) for name in "defg")]
+    assert names(waiting, Standings({ANN: 3 * ADVANCE_S})) == "defagbc"
+
+
+def test_projects_come_before_users() -> None:
+    """The project with one user who has used 3 comes before that of two users who have used 2 each."""
+    use = {ANN: 2 * ADVANCE_S, BEN: 2 * ADVANCE_S, EVE: 3 * ADVANCE_S}
+    assert names([asks("a"), asks("b", BEN), asks("c", EVE)], Standings(use)) == "cab"
+
+
+def test_a_weight_of_two_is_worth_twice_as_much_and_one_of_zero_comes_last() -> None:
+    waiting = [*(asks(name) for name in "abc"), *(asks(name, BEN) for name in "defg")]
+    twice = Quotas({("user", "ben"): Quota(weight=2.0)})
+    assert names(waiting, Standings({}, quotas=twice)) == "adebfgc"
+    last = Quotas({("user", "ann"): Quota(weight=0.0)})
+    assert names(waiting, Standings({}, quotas=last)) == "defgabc"
+
+
+def test_a_running_job_counts_at_once_with_what_is_expected_of_it() -> None:
+    waiting = [asks("a"), asks("b", BEN)]
+    assert names(waiting, Standings({}, [holds("x")], now=1.0)) == "ba"
+    use = {ANN: 5000.0}
+    assert names(waiting, Standings(use, [holds("x", BEN)], now=1.0)) == "ba"
+    assert names(waiting, Standings(use, [holds("x", BEN, ends_at=6000.0)], now=1.0)) == "ab"
+
+
+def test_a_quota_of_running_jobs_holds_back_and_says_so() -> None:
+    quotas = Quotas({("user", "ann"): Quota(running=2), ("project", "arms"): Quota(running=0)})
+    standings = Standings({}, [holds("x")], elsewhere=[BEN], quotas=quotas)
+    assert names([asks("a"), asks("b"), asks("c", BEN), asks("d", EVE)], standings) == "ca"
+    assert standings.limit(ANN) == "2 jobs of the user ann run, and its quota is 2: one has to end first."
+    assert standings.limit(EVE) == "The project arms may run nothing: its quota of running jobs is 0."
+    assert standings.limit(BEN) is None
+
+
+POOLS = [Pool("one", 8, 2), Pool("two", 8, 0)]
+RUNNING = [
+    holds("x", gpus=6, pool="one", ends_at=100.0),
+    holds("y", gpus=4, pool="two", ends_at=50.0),
+    holds("z", gpus=4, pool="two", ends_at=300.0),
+]
+
+
+def test_a_machine_is_kept_for_the_first_that_fits_nowhere() -> None:
+    kept = reserve(asks("a", gpus=8), POOLS, RUNNING, now=0.0)
+    assert kept is not None
+    assert (kept.pool, kept.from_s, kept.spare) == ("one", 100.0, 0)
+    kept = reserve(asks("a", gpus=3), POOLS, RUNNING, now=0.0)
+    assert kept is not None
+    assert (kept.pool, kept.from_s, kept.spare) == ("two", 50.0, 1)
+    assert reserve(asks("a", gpus=9), POOLS, RUNNING, now=0.0) is None
+
+
+@pytest.mark.parametrize(
+    ("small", "taken"),
+    [
+        (asks("b", gpus=2, expected_s=99.0), "b"),  # It ends before.
+        (asks("b", gpus=2, expected_s=101.0), None),
+        (asks("b", gpus=2), None),
+        (asks("b", gpus=3, expected_s=1.0), None),  # There is no room for it.
+    ],
+)
+def test_others_pass_it_where_they_do_not_delay_it(small: Request, taken: str | None) -> None:
+    found = choose(POOLS[0], [asks("a", gpus=8), small], POOLS, RUNNING, now=0.0)
+    assert (found and found.id) == taken
+
+
+def test_others_pass_it_on_other_machines_and_on_what_it_leaves_over() -> None:
+    free = Pool("two", 8, 1)
+    pools = [POOLS[0], free]
+    found = choose(free, [asks("a", gpus=8), asks("b")], pools, RUNNING, now=0.0)
+    assert (found and found.id) == "b"
+    pools = [Pool("one", 8, 2)]
+    found = choose(pools[0], [asks("a", gpus=7), asks("b")], pools, RUNNING, now=0.0)
+    assert (found and found.id) == "b"
+
+
+def test_one_that_fits_elsewhere_is_left_to_that_machine() -> None:
+    pools = [Pool("one", 8, 2), Pool("two", 8, 8)]
+    found = choose(pools[0], [asks("a", gpus=8), asks("b", gpus=2)], pools, [], now=0.0)
+    assert (found and found.id) == "b"
+
+
+def test_those_make_room_who_lose_least_by_it() -> None:
+    low = [
+        Held("a", 2, BEN, 4, 0.0, pool="one", lost_s=100.0),
+        Held("b", 2, BEN, 4, 0.0, pool="one", lost_s=10.0),
+        Held("c", 2, BEN, 8, 0.0, pool="two", lost_s=20.0),
+        Held("d", 1, BEN, 8, 0.0, pool="three"),
+    ]
+    pools = [Pool(name, 8, 0) for name in ("one", "two", "three")]
+    assert [held.id for held in to_drain(asks("x", gpus=4), pools, low)] == ["b"]
+    assert [held.id for held in to_drain(asks("x", gpus=8), pools, low)] == ["c"]
+    assert to_drain(asks("x", gpus=8, rank=2), pools, low) == []
+    said = Held("e", 1, BEN, 8, 0.0, pool="three", is_preemptible=True)
+    assert to_drain(asks("x", gpus=8), [pools[2]], [said]) == [said]
+    assert to_drain(asks("x", BEN, gpus=8), [pools[2]], [said]) == []  # One's own goes on.
+    assert to_drain(asks("x", gpus=8), [Pool("three", 8, 8)], low) == []
+
+
+def test_a_forecast_by_measured_durations() -> None:
+    """Two slots are free in 10 and 30 s; jobs take 100 s, so that they start after 10, 30, 110, 130 s."""
+    lanes = [Lane(frozenset({"gpu"}), 10.0), Lane(frozenset({"gpu"}), 30.0)]
+    waiting = [
+        Request(name, 1, who, kind=kind)
+        for name, who, kind in (
+            ("a", ANN, "gpu"),
+            ("b", ANN, "gpu"),
+            ("c", BEN, "gpu"),
+            ("d", ANN, "gpu"),
+            ("e", EVE, "gpu8"),
+        )
+    ]
+    found = forecasts(waiting, lanes, Standings({}), usual_s=100.0)
+    assert {name: (one.before, one.starts_s) for name, one in found.items()} == {
+        "a": (0, 10.0),
+        "c": (1, 30.0),
+        "b": (2, 110.0),
+        "d": (3, 130.0),
+        "e": (0, None),
+    }
+    assert "2 jobs have their turn before it" in found["b"].reason
+    unknown = forecasts(waiting[:3], lanes, Standings({}), usual_s=None)
+    assert [unknown[name].starts_s for name in "acb"] == [10.0, 30.0, None]
