@@ -109,7 +109,11 @@ def test_as_many_jobs_run_as_the_quota_says(job_store: PostgresJobStore) -> None
 
 def test_a_job_that_the_worker_cannot_run_is_passed_over(job_store: PostgresJobStore) -> None:
     jobs = [add(job_store) for _ in range(3)]
-    claim = take(job_store, fits=lambda job: job.id == jobs[2].id)
+
+    def fits(job: Job) -> bool:
+        return job.id == jobs[2].id
+
+    claim = take(job_store, fits=fits)
     assert claim is not None
     assert claim.job_id == jobs[2].id
 
@@ -126,7 +130,7 @@ def test_a_claim_whose_answer_was_lost_is_the_same_again(job_store: PostgresJobS
 def test_of_many_who_ask_at_once_each_gets_another_job(job_store: PostgresJobStore) -> None:
     jobs = [add(job_store, f"u{number % 3}") for number in range(12)]
     with ThreadPoolExecutor(8) as pool:
-        claims = list(pool.map(lambda _: take(job_store), range(16)))
+        claims = [one.result() for one in [pool.submit(take, job_store) for _ in range(16)]]
     found = [claim.job_id for claim in claims if claim is not None]
     assert sorted(found) == sorted(job.id for job in jobs)
 

@@ -21,8 +21,14 @@ from core.jobs.turns import (
 ANN, BEN, EVE = ("gaits", "ann"), ("gaits", "ben"), ("arms", "eve")
 
 
-def asks(name: str, who: tuple[str, str] = ANN, gpus: int = 1, rank: int = 1, **more: float) -> Request:
-    return Request(name, rank, who, gpus, **more)
+def asks(
+    name: str,
+    who: tuple[str, str] = ANN,
+    gpus: int = 1,
+    rank: int = 1,
+    expected_s: float | None = None,
+) -> Request:
+    return Request(name, rank, who, gpus, expected_s)
 
 
 def holds(

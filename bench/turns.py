@@ -56,6 +56,10 @@ class Month:
     started: int = 0
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="where its picture goes")
+
+
 def measure(arguments: argparse.Namespace) -> Iterator[Figure]:
     number, days = (600, 3) if arguments.quick else (10_000, 28)
     jobs = workload(number, days * _DAY)
@@ -230,4 +234,4 @@ def draw(first: Month, fair: Month, path: Path) -> None:
     for axes in (shares, waits):
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False)
-    plot.savefig(path, dpi=110)
+    plot.savefig(path, dpi=110)  # pyright: ignore[reportUnknownMemberType]
