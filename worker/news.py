@@ -24,13 +24,13 @@ from core.errors import Unavailable
 from core.news.addresses import AddressRefused, NameUnknown, Resolve, checked_address, resolve
 from core.news.channels import send_by_apprise
 from core.news.store import NewsStore
-from core.news.webhook import CLAIM, TEST, Due, Outcome, signed_headers
+from core.news.webhook import CLAIM, MOST_AT_ONCE, TEST, Due, Outcome, signed_headers
 from core.settings import Networks
 
 log = structlog.get_logger()
 
-# Deliveries under way: by HTTP, of one webhook, and by Apprise, which takes a process of 70 MB for each.
-_MOST_HTTP, _MOST_OF_ONE, _MOST_APPRISE = 64, 4, 4
+# Deliveries under way: by HTTP, and by Apprise, which takes a process of 70 MB for each.
+_MOST_HTTP, _MOST_APPRISE = 64, 4
 _EVERY_S, _PAUSE_IN_OUTAGE_S = 0.5, 2.0
 # From the connection to the whole head of the answer; the body is not read.
 TIMEOUT_S = 10.0
@@ -174,7 +174,7 @@ class Sender:
     async def _claimed(self) -> Sequence[Due]:
         while await to_thread.run_sync(self._store.spread_news):
             pass
-        busy = [key for key, number in self._of_one.items() if number >= _MOST_OF_ONE]
+        busy = [key for key, number in self._of_one.items() if number >= MOST_AT_ONCE]
         claimed: list[Due] = []
         for is_http, most in ((True, _MOST_HTTP), (False, _MOST_APPRISE)):
             if (free := most - self._of_kind[is_http]) > 0:

@@ -57,7 +57,8 @@ def data_of(job: Job) -> dict[str, Any]:
         "owner": job.owner,
         "status": job.status,
         "reason": reason,
-        "message": message and message[:_LONGEST_MESSAGE],
+        # PostgreSQL stores no U+0000 as text.
+        "message": message and message[:_LONGEST_MESSAGE].replace("\0", "\N{REPLACEMENT CHARACTER}"),
         "attempts": len(job.attempts),
         "created_at": job.created_at,
         "started_at": job.started_at,

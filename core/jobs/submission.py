@@ -33,7 +33,6 @@ from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
 from core.jobs.spec import CheckpointPolicy, EnvironmentSpec, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import Chunk, Dispatch, Entry, Idempotency, JobStore
 from core.news.store import NewsStore
-from core.news.webhook import named_unknown
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models import library
@@ -110,8 +109,9 @@ def check_notify(spec: JobSpec, project: str, store: NewsStore) -> None:
     known = [webhook.name for webhook in store.webhooks(project)]
     have = f"It has: {', '.join(known)}." if known else "It has none: `gaitway webhooks add` makes one."
     problems = [
-        Problem(f"/notify/{place}", f"The project {project} has no webhook {spec.notify[place]!r}. {have}")
-        for place in named_unknown(spec.notify, known)
+        Problem(f"/notify/{place}", f"The project {project} has no webhook {name!r}. {have}")
+        for place, name in enumerate(spec.notify)
+        if name not in known
     ]
     if problems:
         raise Rejected(problems[0].detail, problems)

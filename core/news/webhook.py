@@ -11,9 +11,8 @@ import hashlib
 import hmac
 import random
 import secrets
-from collections.abc import Sequence
 from datetime import datetime, timedelta
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr
@@ -23,13 +22,7 @@ from core.bounds import ACCOUNT_NAME
 from core.documents import Stored
 
 JobEvent = Literal["job.started", "job.succeeded", "job.failed", "job.cancelled", "job.attempt_lost"]
-JOB_EVENTS: tuple[JobEvent, ...] = (
-    "job.started",
-    "job.succeeded",
-    "job.failed",
-    "job.cancelled",
-    "job.attempt_lost",
-)
+JOB_EVENTS: tuple[JobEvent, ...] = get_args(JobEvent)
 # Those that a webhook is told unless it says otherwise: a job has ended.
 ENDS: tuple[JobEvent, ...] = ("job.succeeded", "job.failed", "job.cancelled")
 TEST = "webhook.test"
@@ -49,6 +42,8 @@ PAUSES = tuple(
 )
 # A sender that says nothing for this long after it has claimed a delivery is taken for dead.
 CLAIM = timedelta(seconds=45)
+# Of one webhook: while its receiver hangs, the others are served.
+MOST_AT_ONCE = 4
 # How long the log of deliveries reaches back.
 KEPT = timedelta(days=7)
 
@@ -136,9 +131,7 @@ class Outcome(Stored):
 def new_message(event: str, at: datetime, about: dict[str, Any], **facts: Any) -> News:
     """News with a fresh id. about: what the body has as `data`."""
     body = {"type": event, "timestamp": at, "data": about}
-    # PostgreSQL stores no U+0000 as text.
-    document = to_json(body).decode().replace("\\u0000", "\N{REPLACEMENT CHARACTER}")
-    return News(id=f"msg_{secrets.token_hex(12)}", event=event, document=document, **facts)
+    return News(id=f"msg_{secrets.token_hex(12)}", event=event, document=to_json(body).decode(), **facts)
 
 
 def new_signing_secret() -> SecretStr:
@@ -172,14 +165,11 @@ def signed_headers(message: str, at: datetime, body: bytes, secret: str) -> dict
     return {"webhook-id": message, "webhook-timestamp": timestamp, "webhook-signature": f"v1,{signature}"}
 
 
-def pause_after(attempt: int, share: float | None = None) -> timedelta | None:
-    """The time from this try, counted from 1, to the next; None after the last.
-
-    share: where in the tenth by which pauses are spread; by default at random.
-    """
+def pause_after(attempt: int) -> timedelta | None:
+    """The time from this try, counted from 1, to the next, within a tenth at random; None after the last."""
     if attempt > len(PAUSES):
         return None
-    return PAUSES[attempt - 1] * (0.95 + 0.1 * (random.random() if share is None else share))  # noqa: S311
+    return PAUSES[attempt - 1] * random.uniform(0.95, 1.05)  # noqa: S311
 
 
 def shown_url(url: str) -> str:
@@ -198,8 +188,3 @@ def wants(webhook: Webhook, news: News) -> bool:
         return False
     is_of_its_jobs = webhook.jobs == "all" or (webhook.jobs == "own" and webhook.owner == news.owner)
     return is_of_its_jobs or webhook.name in news.notify
-
-
-def named_unknown(notify: Sequence[str], known: Sequence[str]) -> list[int]:
-    """The places in `notify` of names that no webhook has."""
-    return [place for place, name in enumerate(notify) if name not in known]

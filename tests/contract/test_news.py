@@ -65,7 +65,7 @@ def ended(job_store: PostgresJobStore) -> Job:
     """A cancelled job, whose news is written, for a webhook."""
     job_store.add_webhook(webhook(events=ENDS), ANN)
     job = job_store.add(queued_job(name="first steps"))
-    job_store.save(cancelled(job))
+    job_store.save(cancelled(job).model_copy(update={"message": "a\0b \\u0000"}))
     return job
 
 
@@ -89,6 +89,7 @@ def test_a_message_says_what_the_job_is_and_how_it_ended(job_store: PostgresJobS
     assert message["timestamp"] == "2026-11-21T12:00:00Z"
     about = {"id": ended.id, "name": "first steps", "status": "cancelled", "reason": "user_cancelled"}
     assert message["data"] == message["data"] | about
+    assert message["data"]["message"] == "a\N{REPLACEMENT CHARACTER}b \\u0000"
     assert due.message.startswith("msg_")
 
 

@@ -39,6 +39,7 @@ from core.news.webhook import (
     CLAIM,
     KEPT,
     MAX_WEBHOOKS,
+    MOST_AT_ONCE,
     Delivery,
     Due,
     News,
@@ -48,8 +49,6 @@ from core.news.webhook import (
     wants,
 )
 
-# Of one webhook: while its receiver hangs, the others are served.
-_AT_ONCE = 4
 _SHOWN = [column for column in deliveries.c if column.name not in ("document", "project")]
 _IS_DUE = and_(deliveries.c.status == "waiting", deliveries.c.next_attempt_at <= NOW)
 _TELLS = or_(
@@ -164,7 +163,7 @@ class NewsQueries(Session):
     ) -> Sequence[Due]:
         place = (deliveries.c.project == webhooks.c.project) & (deliveries.c.webhook == webhooks.c.name)
         of_one = select(deliveries.c.id, deliveries.c.next_attempt_at).where(place, _IS_DUE)
-        of_one = of_one.order_by(deliveries.c.next_attempt_at).limit(_AT_ONCE).lateral("of_one")
+        of_one = of_one.order_by(deliveries.c.next_attempt_at).limit(MOST_AT_ONCE).lateral("of_one")
         due = select(of_one.c.id).select_from(webhooks.join(of_one, true()))
         due = due.where(webhooks.c.secret.is_not(None) == is_http).order_by(of_one.c.next_attempt_at)
         if but_not:
