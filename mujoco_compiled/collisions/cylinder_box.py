@@ -32,6 +32,7 @@ from mujoco_compiled.program.arithmetic import (
     total,
     transpose,
 )
+from mujoco_compiled.program.flow import where_needed
 
 # In rad. Faces and sides that are less than this from parallel touch as if they were.
 _PARALLEL = 0.0889
@@ -63,7 +64,10 @@ def cylinder_box(cylinder: Placed, box: Placed) -> list[Touch]:
         return rotate(both[1].to_world, face.unseen(vector))
 
     found, normal = [touch, *[Touch(touch.position, AWAY, touch.normal)] * 3], to_world([0.0, 0.0, -1.0])
-    for lies, points in ((face.end_lies, _of_end(place)), (face.side_lies, _of_side(place))):
+    for lies, points in (
+        (face.end_lies, _of_end_where(place, face.end_lies)),
+        (face.side_lies, _of_side(place)),
+    ):
         lowest = reduce(minimum, [one.distance for one in points])
         is_chosen = lies * _truth(lowest < place.highest) > 0.5
         placed = [
@@ -182,6 +186,16 @@ def _of_side(place: _OnFace) -> list[_Point]:
         x, y, z = (select(is_other, *pair) for pair in zip(points[other], points[own], strict=True))
         found.append(_Point([x, y, 0.5 * z], select(high < low, AWAY, z)))
     return [*found, *[_Point(_NOWHERE, AWAY)] * 2]
+
+
+def _of_end_where(place: _OnFace, lies: Number) -> list[_Point]:
+    """Those of `_of_end` where the end is almost parallel to the face; elsewhere four that are not there."""
+
+    def compute() -> Vector:
+        return [x for one in _of_end(place) for x in (*one.position, one.distance)]
+
+    found = where_needed(lies > 0.5, compute, lambda _: [*_NOWHERE, AWAY] * 4)
+    return [_Point(found[first : first + 3], found[first + 3]) for first in range(0, 16, 4)]
 
 
 def _of_end(place: _OnFace) -> list[_Point]:
