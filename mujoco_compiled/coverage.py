@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 import mujoco
 import numpy as np
 
-from mujoco_compiled.collisions.fields import MOST_CELLS, MOST_HEIGHTS, read_field
+from mujoco_compiled.collisions.fields import MOST_CELLS, MOST_HEIGHTS, HeightField, read_field
 from mujoco_compiled.collisions.own_boxes import fixed_boxes
 from mujoco_compiled.collisions.prisms import ON_FIELDS
 from mujoco_compiled.collisions.table import COLLIDERS
@@ -263,16 +263,18 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
     if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
         return
     of_ends = _inverse_weights(model)
+    found = {geom: read_field(model, geom) for geom in range(model.ngeom)}
+    height_fields = {geom: field for geom, field in found.items() if field is not None}
     for pair in read_pairs(Fields(model)):
         both = [pair.one, pair.other]
         one, other = (named(model, "geom", number) for number in both)
         names = f"its geoms {one} and {other} can touch"
         kinds = [int(kind) for kind in model.geom_type[both]]
-        is_on_field = kinds[0] == mujoco.mjtGeom.mjGEOM_HFIELD and kinds[1] in ON_FIELDS
-        if not is_on_field and (kinds[0], kinds[1]) not in COLLIDERS:
+        field = height_fields.get(pair.one) if kinds[1] in ON_FIELDS else None
+        if field is None and (kinds[0], kinds[1]) not in COLLIDERS:
             first, second = (word(mujoco.mjtGeom(kind).name) for kind in kinds)
             yield f"{names}: {_with_article(first)} and {_with_article(second)}"
-        elif is_on_field and (reason := _of_large_field(model, pair)):
+        elif field is not None and (reason := _of_field(model, field, pair)):
             yield f"{names}: {reason}"
         elif not is_computable(pair.parameters.spring.impedance.power):
             yield f"{names}: its contact {_CURVE}"
@@ -286,13 +288,14 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
         yield f"its pair {named(model, 'pair', int(place))} has adhesion"
 
 
-def _of_large_field(model: mujoco.MjModel, pair: Pair) -> str | None:
-    """Why a height field is too fine for a geom, or too large."""
-    if (field := read_field(model, pair.one)) is None:
-        return None
+def _of_field(model: mujoco.MjModel, field: HeightField, pair: Pair) -> str | None:
+    """Why a geom cannot be on a height field."""
+    if min(field.num_rows, field.num_columns) < 2:
+        return "the height field has no cells"
     if len(field.heights) > MOST_HEIGHTS:
         return f"the height field has {len(field.heights):,} heights, more than {MOST_HEIGHTS:,}"
-    along, across = field.window(float(model.geom_rbound[pair.other]))
+    reach = max(0.0, pair.parameters.reach)
+    along, across = field.window(float(model.geom_rbound[pair.other]) + reach)
     if along * across > MOST_CELLS:
         return f"the geom can be over {along * across:,} cells of the height field, more than {MOST_CELLS}"
     return None

@@ -35,7 +35,7 @@ class HeightField:
         return 2.0 * x / (self.num_columns - 1), 2.0 * y / (self.num_rows - 1)
 
     def window(self, bound: float) -> tuple[int, int]:
-        """Along x and y: over how many cells a geom is at most. bound: the radius of a sphere about it."""
+        """Along x and y: over how many cells a geom is at most. bound: of the sphere about it, in m."""
         along, across = (ceil(2.0 * bound / length) + 1 for length in self.cell)
         return min(along, self.num_columns - 1), min(across, self.num_rows - 1)
 

@@ -46,15 +46,14 @@ from mujoco_compiled.program.program import Place, Program
 
 # What can touch a height field.
 ON_FIELDS = frozenset({SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH})
-# MuJoCo's own bound for two geoms.
-MOST_POINTS = 50
 _UNTURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 _UP = [0.0, 0.0, 1.0]
 
 
 def num_field_points(window: tuple[int, int]) -> int:
-    """At how many points a geom may touch a field at once. window: see `HeightField`."""
-    return min(MOST_POINTS, 2 * window[0] * window[1])
+    """At how many points geoms may touch a field, of environments that each are elsewhere. window: see
+    `HeightField`."""
+    return 2 * window[0] * window[1]
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Window:
         """Puts the points, in the world's frame, where a geom of this kind may be within `reach` in m."""
         assert field.field is not None  # noqa: S101
         under = _under(field.field, _seen_from(field, kind, geom), reach)
-        number = 2 * self.size[0] * self.size[1]
+        number = num_field_points(self.size)
         near = rows(self.program, f"{self.name} prisms", number)
 
         def look(place: Place, _: Vector) -> Vector:
@@ -115,16 +114,15 @@ class _Under:
 
 
 def _under(field: HeightField, geom: Convex, reach: Number) -> _Under:
-    ways = [*_UNTURNED, *([-x for x in axis] for axis in _UNTURNED)]
-    high_x, high_y, _, *lows = (dot(way, geom.support(way)) + geom.radius for way in ways)
-    sides = zip(lows, (high_x, high_y), field.half, field.cell, strict=False)
-    cells = [
-        ((half - low - reach) * (1.0 / cell), (high + half + reach) * (1.0 / cell))
-        for low, high, half, cell in sides
-    ]
+    downwards = [[-x for x in axis] for axis in _UNTURNED]
+    high_x, high_y, *lows = (
+        dot(way, geom.support(way)) + geom.radius + reach for way in (*_UNTURNED[:2], *downwards)
+    )
+    sides = zip(lows[:2], (high_x, high_y), field.half, field.cell, strict=True)
+    cells = [((half - low) * (1.0 / cell), (high + half) * (1.0 / cell)) for low, high, half, cell in sides]
     lasts = field.num_columns - 2, field.num_rows - 2
     firsts = [truncated(clip(low, 0.0, float(last))) for (low, _), last in zip(cells, lasts, strict=True)]
-    return _Under(field, geom, cells, firsts, -lows[2] - reach)
+    return _Under(field, geom, cells, firsts, -lows[2])
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ class ContactPair:
     @property
     def window(self) -> tuple[int, int] | None:
         """Over how many cells of a height field the other geom may be; see `HeightField`."""
-        return self.one.field and self.one.field.window(self.other.bound)
+        return self.one.field and self.one.field.window(self.other.bound + max(0.0, self.parameters.reach))
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ def sums_of_ours(model: mujoco.MjModel, datas: list[mujoco.MjData]) -> Array:
         values = [1.0, touch.distance, *touch.position, *touch.normal]
         found.add(0, [select(touch.distance < reach, x, 0.0) for x in values])
 
-    window = Window(program, "hills", field.window(float(model.geom_rbound[1])))
+    window = Window(program, "hills", field.window(float(model.geom_rbound[1]) + reach))
     window.each_touch(int(model.geom_type[1]), placed(0), placed(1), reach, put)
     program.output("sums", found.row(0))
     given = {
@@ -245,9 +245,10 @@ def test_balls_roll_over_bumps_as_in_mujoco() -> None:
     [
         ("0.5", 200, "the geom can be over 39,601 cells of the height field, more than 256"),
         ("0.01", 600, "the height field has 360,000 heights, more than 262,144"),
+        ("0.01", 1, "the height field has no cells"),
     ],
 )
-def test_fields_that_are_too_fine_or_too_large_are_named(size: str, grid: int, reason: str) -> None:
+def test_fields_that_are_too_fine_or_too_large_or_empty_are_named(size: str, grid: int, reason: str) -> None:
     spec = mujoco.MjSpec.from_string(f"""
       <mujoco><worldbody><geom name="hill" type="hfield" hfield="hill"/>
         <body><freejoint/><geom name="ball" size="{size}"/></body></worldbody>
