@@ -124,11 +124,11 @@ def outcome_of(status: int, location: str = "") -> Outcome:
 
 
 _HAPPENED: Mapping[str, str] = {
-    "job.started": "has started",
-    "job.succeeded": "has succeeded",
-    "job.failed": "has failed",
-    "job.cancelled": "was cancelled",
-    "job.attempt_lost": "has lost an attempt, and is tried again",
+    "started": "has started",
+    "succeeded": "has succeeded",
+    "failed": "has failed",
+    "cancelled": "was cancelled",
+    "attempt_lost": "has lost an attempt, and is tried again",
 }
 
 
@@ -137,9 +137,10 @@ def words_of(message: dict[str, Any]) -> tuple[str, str]:
     about = message["data"]
     if message["type"] == TEST:
         return "Gaitway: a test", f"The webhook {about['webhook']} of the project {about['project']} works."
-    happened = _HAPPENED.get(message["type"], message["type"])
+    kind, _, event = message["type"].partition(".")
+    happened = _HAPPENED.get(event, event)
     name = about["name"] or about["id"]
-    facts = (about["message"], f"{about['environment']}, project {about['project']}, job {about['id']}")
+    facts = (about["message"], f"{about['environment']}, project {about['project']}, {kind} {about['id']}")
     return f"{name} {happened}", "\n".join(filter(None, facts))
 
 

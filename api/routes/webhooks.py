@@ -32,9 +32,10 @@ from core.news.channels import LONGEST_URL, BadAddress, check_url
 from core.news.store import DeliveryPage
 from core.news.webhook import (
     ENDS,
-    JOB_EVENTS,
+    EVENTS,
     TEST,
     JobEvent,
+    SweepEvent,
     Webhook,
     WebhookName,
     WhichJobs,
@@ -63,7 +64,7 @@ class NewWebhook(Strict):
 
     name: WebhookName
     url: str = Field(min_length=1, max_length=LONGEST_URL, examples=["https://hooks.lab.edu/gaitway"])
-    events: list[JobEvent] = Field(default=[*ENDS], min_length=1, max_length=len(JOB_EVENTS))
+    events: list[JobEvent | SweepEvent] = Field(default=[*ENDS], min_length=1, max_length=len(EVENTS))
     jobs: WhichJobs = "all"
     secret: Annotated[str, Field(max_length=100), AfterValidator(check_signing_secret)] | None = Field(
         default=None, description="`whsec_` and 24 to 64 bytes in base64.", examples=[None]

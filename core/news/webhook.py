@@ -1,6 +1,6 @@
 """Webhooks of a project, the news that they are told, and the signature on it.
 
-News is a message about a job. It is written in the transaction that changes the job. A sender makes a
+News is a message about a job or a sweep. It is written in the transaction that changes that. A sender makes a
 delivery of it for each webhook that wants it, and tries each delivery until it is taken or a day has passed.
 Messages and signatures are those of Standard Webhooks 1.0 (https://www.standardwebhooks.com).
 """
@@ -22,9 +22,13 @@ from core.bounds import ACCOUNT_NAME
 from core.documents import Stored
 
 JobEvent = Literal["job.started", "job.succeeded", "job.failed", "job.cancelled", "job.attempt_lost"]
-JOB_EVENTS: tuple[JobEvent, ...] = get_args(JobEvent)
-# Those that a webhook is told unless it says otherwise: a job has ended.
-ENDS: tuple[JobEvent, ...] = ("job.succeeded", "job.failed", "job.cancelled")
+SweepEvent = Literal["sweep.succeeded", "sweep.failed", "sweep.cancelled"]
+EVENTS: tuple[JobEvent | SweepEvent, ...] = (*get_args(JobEvent), *get_args(SweepEvent))
+# Those that a webhook is told unless it says otherwise: a job or a sweep has ended.
+ENDS: tuple[JobEvent | SweepEvent, ...] = (
+    *("job.succeeded", "job.failed", "job.cancelled"),
+    *get_args(SweepEvent),
+)
 TEST = "webhook.test"
 WebhookName = Annotated[str, Field(pattern=f"^{ACCOUNT_NAME}$", examples=["lab-chat"])]
 WhichJobs = Literal["all", "own", "named"]

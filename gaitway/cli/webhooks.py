@@ -31,8 +31,8 @@ def add(  # noqa: PLR0913 # A command line's options.
     event: Annotated[
         list[str] | None,
         typer.Option(
-            help="job.started, job.succeeded, job.failed, job.cancelled or job.attempt_lost; repeatable, by "
-            "default the three ends."
+            help="job.started, job.succeeded, job.failed, job.cancelled, job.attempt_lost, sweep.succeeded, "
+            "sweep.failed or sweep.cancelled; repeatable, by default all ends."
         ),
     ] = None,
     jobs: Annotated[str, typer.Option(help="all, own, or named: those sent with --notify NAME.")] = "all",

@@ -16,7 +16,7 @@ from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.news.webhook import (
     ENDS,
-    JOB_EVENTS,
+    EVENTS,
     MAX_WEBHOOKS,
     PAUSES,
     Delivery,
@@ -27,7 +27,9 @@ from core.news.webhook import (
     new_signing_secret,
 )
 from core.reasons import Reason
+from core.sweeps.sweep import SweepStatus
 from tests.contract.recording import NOW, Database, cancelled, held, queued_job, taken_back
+from tests.unit.sweeps.making import sweep_of
 
 ANN = Actor("ann")
 
@@ -36,7 +38,7 @@ def webhook(name: str = "hook", **said: object) -> Webhook:
     facts = {
         "project": "default",
         "url": SecretStr("https://hooks.example/1"),
-        "events": JOB_EVENTS,
+        "events": EVENTS,
         "jobs": "all",
         "secret": new_signing_secret(),
         "created_at": NOW,
@@ -91,6 +93,17 @@ def test_a_message_says_what_the_job_is_and_how_it_ended(job_store: PostgresJobS
     assert message["data"] == message["data"] | about
     assert message["data"]["message"] == "a\N{REPLACEMENT CHARACTER}b \\u0000"
     assert due.message.startswith("msg_")
+
+
+def test_a_sweeps_end_is_news_once_each_time(job_store: PostgresJobStore) -> None:
+    job_store.add_webhook(webhook(), ANN)
+    sweep = job_store.add_sweep(sweep_of())
+    for status in ("cancelling", "cancelled", "cancelled", "running", "succeeded"):
+        sweep = sweep.next(status=SweepStatus(status))
+        job_store.save_sweep(sweep)
+    assert told(job_store) == ["sweep.cancelled", "sweep.succeeded"]
+    message = from_json(claim(job_store, 1)[0].document)
+    assert message["data"] == message["data"] | {"id": sweep.id, "environment": "ant"}
 
 
 def test_a_change_that_is_refused_is_no_news(job_store: PostgresJobStore, database: Database) -> None:

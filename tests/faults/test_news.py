@@ -20,7 +20,7 @@ from pydantic import SecretStr
 from core.accounts.store import Actor
 from core.adapters.postgres.store import PostgresJobStore
 from core.news.channels import BadAddress, check_url, send_by_apprise
-from core.news.webhook import JOB_EVENTS, Delivery, Webhook, new_signing_secret, signed_headers
+from core.news.webhook import EVENTS, Delivery, Webhook, new_signing_secret, signed_headers
 from tests.contract.recording import NOW, Database, cancelled, queued_job
 from tests.receivers import Receiver, receiving
 from worker.news import Post, Sender, outcome_of
@@ -54,7 +54,7 @@ def add_webhook(store: PostgresJobStore, url: str, name: str = "hook") -> Webhoo
         project="default",
         name=name,
         url=SecretStr(url),
-        events=JOB_EVENTS,
+        events=EVENTS,
         jobs="all",
         secret=new_signing_secret(),
         created_at=NOW,

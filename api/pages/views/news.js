@@ -16,8 +16,11 @@ const EVENTS = {
   "job.cancelled": "a job was cancelled",
   "job.started": "a job has started",
   "job.attempt_lost": "an attempt was lost, and another one follows",
+  "sweep.succeeded": "a sweep has succeeded",
+  "sweep.failed": "a sweep has failed",
+  "sweep.cancelled": "a sweep was cancelled",
 };
-const ENDS = ["job.succeeded", "job.failed", "job.cancelled"];
+const BY_DEFAULT = Object.keys(EVENTS).filter((name) => !["job.started", "job.attempt_lost"].includes(name));
 const JOBS = { all: "all of the project", own: "your own", named: "those that name it in notify" };
 const EVERY_MS = 3000;
 
@@ -81,7 +84,7 @@ function Sent({ name, path, query }) {
 }
 
 function NewWebhook({ path, onMade }) {
-  const [draft, setDraft] = useState({ name: "", url: "", events: ENDS, jobs: "all" });
+  const [draft, setDraft] = useState({ name: "", url: "", events: BY_DEFAULT, jobs: "all" });
   const [made, setMade] = useState(null);
   const set = (name) => ({ target }) => setDraft((before) => ({ ...before, [name]: target.value }));
   const toggle = (event) => ({ target }) =>

@@ -202,7 +202,10 @@ class NewsQueries(Session):
 
 def enter(connection: Connection, job: Job, before: JobStatus) -> None:
     """Write the news of this change of status, if it is any."""
-    message = news_of(job, before)
+    add(connection, news_of(job, before))
+
+
+def add(connection: Connection, message: News | None) -> None:
     if message is not None:
         values = {**message.model_dump(exclude={"notify"}), "notify": [*message.notify]}
         connection.execute(insert(news).values({**values, "created_at": NOW}))

@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, liter
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
 from core.accounts.principal import Ownership
-from core.adapters.postgres import listing, rows
+from core.adapters.postgres import listing, news, rows
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.jobs import KEYS_REMEMBERED, add_job, hashed
 from core.adapters.postgres.listing import Part
@@ -20,6 +20,7 @@ from core.adapters.postgres.tables import NOW, jobs, sweeps, trials
 from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound, TooManySweeps
 from core.jobs.job import JOB_ID, Job
 from core.jobs.store import ANYBODYS, Idempotency, Whose
+from core.sweeps.news import news_of_sweep
 from core.sweeps.spec import SWEEP_SPEC
 from core.sweeps.sweep import Sweep, SweepMark, SweepPage, SweepStatus, Trial
 
@@ -61,9 +62,13 @@ class SweepQueries(Session):
 
     def save_sweep(self, sweep: Sweep) -> None:
         before = update(sweeps).where(sweeps.c.id == sweep.id, sweeps.c.version == sweep.version - 1)
-        with self._statements() as connection:
-            if connection.execute(before.values(_values(sweep)).returning(sweeps.c.id)).first() is None:
+        status = select(sweeps.c.status).where(sweeps.c.id == sweep.id).scalar_subquery().label("status")
+        with self._transaction() as connection:
+            row = connection.execute(before.values(_values(sweep)).returning(status)).first()
+            if row is None:
                 _refuse(connection, sweep.id)
+            if row.status != sweep.status:
+                news.add(connection, news_of_sweep(sweep))
 
     def delete_sweep(self, sweep_id: str, version: int) -> None:
         known = delete(sweeps).where(sweeps.c.id == sweep_id, sweeps.c.version == version)
