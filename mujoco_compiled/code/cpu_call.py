@@ -1,7 +1,5 @@
 """A generated function on all of this machine's cores, called from compiled JAX programs."""
 
-import os
-import sys
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
@@ -12,7 +10,7 @@ import numpy as np
 
 from mujoco_compiled.code.function_source import FUNCTION, FunctionSource
 from mujoco_compiled.code.host_call import Floats, host_call
-from mujoco_compiled.code.machine_code import Function, loaded, vector_width
+from mujoco_compiled.code.machine_code import Function, loaded, num_cores, vector_width
 
 
 class CpuCall:
@@ -53,11 +51,6 @@ def _shares(num_envs: int, width: int, num_threads: int) -> list[tuple[int, int]
     num_shares = max(1, min(num_threads, vectors))
     ends = [width * (vectors * share // num_shares) for share in range(num_shares)] + [num_envs]
     return list(pairwise(ends))
-
-
-def num_cores() -> int:
-    """The CPU cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 @cache

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 from mujoco_compiled.code.arrays import array_sizes
 from mujoco_compiled.code.long_writer import FunctionFrame, write_code
-from mujoco_compiled.code.memory import memory_lines, tables
+from mujoco_compiled.code.memory import foreign_tables, memory_lines, tables
 from mujoco_compiled.code.writer import Target, Writer
 from mujoco_compiled.program.program import Program
 
@@ -47,11 +48,14 @@ class _CpuRows:
         return writer.value(f"getelementptr [{self.sizes[name]} x float], ptr {first}, {lanes}")
 
 
-def cpu_function(program: Program, name: str, width: int, section_size: int | None = None) -> str:
-    """A module with `void name(i64 first, i64 end, inputs..., outputs...)`, in the program's order.
+def cpu_function(
+    program: Program, name: str, width: int, section_size: int | None = None, num_parts: int = 1
+) -> list[str]:
+    """Modules with `void name(i64 first, i64 end, inputs..., outputs...)`, in the program's order.
 
     It moves the environments from first to end - 1, `width` at a time. An input or output is a pointer to
-    float32 [environments, size]. section_size: see `write_code`.
+    float32 [environments, size]. section_size: see `write_code`. num_parts: modules to which sections are
+    shared out, so that they can be compiled side by side.
     """
     sizes = array_sizes(program)
     target = Target(width, allowed="")
@@ -68,14 +72,16 @@ def cpu_function(program: Program, name: str, width: int, section_size: int | No
     ]
     memory = memory_lines(program.memory, target)
     pointers = "ptr %slots, ptr %numbers, ptr %counts"
-    frame = FunctionFrame(f"{pointers}, i64 %begin, i64 %end, {arrays}", environments, slots="ptr")
+    parameters = f"{pointers}, i64 %begin, i64 %end, {arrays}"
+    frame = FunctionFrame(parameters, environments, slots="ptr", linkage="")
     code = write_code(program, Writer(target, _CpuRows(sizes), block="group"), frame, section_size)
-    return "\n".join(
-        [
-            *target.declarations(),
-            *_declarations(target),
-            *tables(program.memory, target),
-            *code.functions,
+    declarations = [*target.declarations(), *_declarations(target)]
+    parts = [code.functions[part::num_parts] for part in range(min(num_parts, len(code.functions)))]
+    return [
+        _module(
+            *declarations,
+            *tables(program.memory, target, linkage=""),
+            *(f"declare void @section{k}({parameters})" for k in range(len(code.functions))),
             f"define void @{name}(i64 %first, i64 %end, {arrays}) {{",
             "entry:",
             *([f"  %slots = alloca {target.number}, i32 {code.num_slots}"] if code.functions else []),
@@ -93,10 +99,16 @@ def cpu_function(program: Program, name: str, width: int, section_size: int | No
             "done:",
             "  ret void",
             "}",
-            "!0 = !{}",
-            "",
-        ]
-    )
+        ),
+        *(
+            _module(*declarations, *foreign_tables(program.memory), *chain.from_iterable(part))
+            for part in parts
+        ),
+    ]
+
+
+def _module(*lines: str) -> str:
+    return "\n".join([*lines, "!0 = !{}", ""])
 
 
 def _declarations(target: Target) -> list[str]:

@@ -37,13 +37,13 @@ class FunctionSource:
         """An object file for this processor."""
         from mujoco_compiled.code.cpu_function import cpu_function
         from mujoco_compiled.code.long_writer import is_long
-        from mujoco_compiled.code.machine_code import machine_code, processor, vector_width
+        from mujoco_compiled.code.machine_code import machine_code, num_cores, processor, vector_width
 
         def make() -> bytes:
             program = self._checked(self.write())
             if not is_long(program):
                 return machine_code(cpu_function(program, FUNCTION, vector_width()))
-            code = cpu_function(program, FUNCTION, vector_width(), _CPU_SECTION)
+            code = cpu_function(program, FUNCTION, vector_width(), _CPU_SECTION, num_cores())
             return machine_code(code, level=1)
 
         return kept(f"{self.described} for {processor()}", make)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
@@ -152,7 +153,7 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
             "declare i1 @llvm.nvvm.barrier.cta.red.or.aligned.all(i32, i1)",
             f"declare float @{_SHUFFLE}(i32, float, i32, i32)",
             *tables(program.memory, _ALONE),
-            *code.functions,
+            *chain.from_iterable(code.functions),
             f"define ptx_kernel void @{name}({arrays}) {attributes} {{",
             "body:",
             *(_slots(code.num_slots) if code.functions else []),

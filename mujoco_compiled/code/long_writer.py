@@ -22,19 +22,21 @@ _LONG = 40_000
 
 @dataclass(frozen=True)
 class FunctionFrame:
-    """How functions of sections look on a kind of processor. parameters: in LLVM's words; %slots is the
-    first. begin: the lines that each begins with. slots: the type of a pointer to the slots."""
+    """How functions of sections look on a kind of processor. linkage, parameters: in LLVM's words; %slots is
+    the first. begin: the lines that each begins with. slots: the type of a pointer to the slots."""
 
     parameters: str
     begin: Sequence[str]
     slots: str
+    linkage: str = "internal"
 
 
 @dataclass(frozen=True)
 class Code:
-    """functions: of the sections. lines: of the body of the function that calls them. block: its last."""
+    """functions: of the sections, `@section0` and so on, each by lines. lines: of the body of the function
+    that calls them. block: its last."""
 
-    functions: Sequence[str]
+    functions: Sequence[Sequence[str]]
     num_slots: int
     lines: Sequence[str]
     block: str
@@ -58,14 +60,13 @@ def write_code(program: Program, main: Writer, frame: FunctionFrame, section_siz
 
 @dataclass
 class _LongWriter:
-    """functions: those of the sections, by lines. main: the body of the function that calls them."""
+    """functions: see `Code`. main: the body of the function that calls them."""
 
     frame: FunctionFrame
     program: SlottedProgram
     main: Writer
     slots: "Slots"
-    functions: list[str] = field(default_factory=list[str])
-    _num_functions: int = 0
+    functions: list[Sequence[str]] = field(default_factory=list[Sequence[str]])
 
     def write(self, parts: Sequence[Part]) -> None:
         for part in parts:
@@ -79,18 +80,11 @@ class _LongWriter:
 
     def _call(self, section: Section) -> None:
         """The section as a function, and a call of it."""
-        name, parameters = f"@section{self._num_functions}", self.frame.parameters
-        self._num_functions += 1
+        name, parameters = f"@section{len(self.functions)}", self.frame.parameters
         writer = Writer(self.main.target, self.main.memory, block="body")
         _SectionWriter(writer, self.slots).write(section)
-        self.functions += [
-            f"define internal void {name}({parameters}) noinline nounwind {{",
-            "body:",
-            *self.frame.begin,
-            *writer.lines,
-            "  ret void",
-            "}",
-        ]
+        head = f"define {self.frame.linkage} void {name}({parameters}) noinline nounwind {{"
+        self.functions.append([head, "body:", *self.frame.begin, *writer.lines, "  ret void", "}"])
         self.main.line(f"call void {name}({parameters})")
 
     def _loop(self, loop: LongLoop) -> None:

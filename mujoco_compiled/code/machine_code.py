@@ -1,15 +1,21 @@
 """Machine code for this processor, from LLVM's language. Needs the extra `compiled`."""
 
 import ctypes
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, Literal
 
 import llvmlite.binding as llvm
 import numpy as np
+from llvmlite.binding import ffi
 from numpy.typing import NDArray
 
 Level = Literal[1, 2]
+_LENGTH_BYTES = 8
 
 
 @dataclass(frozen=True)
@@ -33,30 +39,61 @@ def vector_width() -> int:
     return 8 if features.get("avx") else 4
 
 
+def num_cores() -> int:
+    """The CPU cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
 def processor() -> str:
     """The processor that the code is made for."""
     return f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
 
 
-def machine_code(module: str, level: Level = 2) -> bytes:
-    """An object file for this processor. Raises RuntimeError for a wrong module. level: LLVM's, of its code
-    generator.
+def machine_code(modules: Sequence[str], level: Level = 2) -> bytes:
+    """Object files for this processor, one after the other, each behind its length; modules are compiled side
+    by side. Raises RuntimeError for a wrong module. level: LLVM's, of its code generator.
 
     LLVM's general passes are left out: they find nothing in a program that has no needless operation, and
     take as long as the rest.
     """
-    parsed: Any = llvm.parse_assembly(module)
-    parsed.verify()
-    return _machine(level).emit_object(parsed)
+    with ThreadPoolExecutor(len(modules)) as pool:
+        objects = list(pool.map(partial(_object_file, level=level), modules))
+    return b"".join(len(one).to_bytes(_LENGTH_BYTES, "little") + one for one in objects)
 
 
 def loaded(code: bytes, name: str, num_arrays: int) -> Function:
-    """The function of an object file that `machine_code` made."""
+    """The function of the object files that `machine_code` made."""
     engine: Any = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    while code:
+        end = _LENGTH_BYTES + int.from_bytes(code[:_LENGTH_BYTES], "little")
+        engine.add_object_file(llvm.ObjectFileRef.from_data(code[_LENGTH_BYTES:end]))
+        code = code[end:]
     engine.finalize_object()
     kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * num_arrays)
     return Function(engine, kind(engine.get_function_address(name)))
+
+
+def _object_file(module: str, level: Level) -> bytes:
+    # Modules of one context may not be compiled side by side.
+    parsed: Any = llvm.parse_assembly(module, llvm.create_context())
+    parsed.verify()
+    message = ctypes.c_char_p()
+    if not (buffer := _emit()(_machine(level), parsed, 1, ctypes.byref(message))):
+        raise RuntimeError((message.value or b"LLVM made no code.").decode())
+    try:
+        return ctypes.string_at(ffi.lib.LLVMPY_GetBufferStart(buffer), ffi.lib.LLVMPY_GetBufferSize(buffer))
+    finally:
+        ffi.lib.LLVMPY_DisposeMemoryBuffer(buffer)
+
+
+@cache
+def _emit() -> Any:
+    """What llvmlite's `emit_object` calls, without the lock under which it lets one thread into LLVM."""
+    library: Any = ffi.lib
+    locked = library.LLVMPY_TargetMachineEmitToMemory
+    emit = ctypes.CDLL(library._name, handle=library._handle).LLVMPY_TargetMachineEmitToMemory
+    emit.argtypes, emit.restype = locked.argtypes, locked.restype
+    return emit
 
 
 def _machine(level: Level = 2) -> Any:

@@ -27,7 +27,8 @@ def outputs(program: Program, given: Values, section_size: int | None) -> list[n
     """given: by input, [environments, size]."""
     inputs = [np.ascontiguousarray(values, np.float32) for values in given.values()]
     found = [np.full((len(inputs[0]), len(one)), np.inf, np.float32) for one in program.outputs.values()]
-    code = machine_code(cpu_function(program, "run", WIDTH, section_size), 1 if section_size else 2)
+    modules = cpu_function(program, "run", WIDTH, section_size, num_parts=3)
+    code = machine_code(modules, 1 if section_size else 2)
     loaded(code, "run", len(inputs) + len(found))(0, len(inputs[0]), *inputs, *found)
     return found
 
