@@ -62,8 +62,8 @@ class ActuatorConstants:
     """A force along a length: gain · (control or activation) + bias.
 
     gain, bias: three coefficients each, of 1, of the length and of its rate, or a muscle's. control_range,
-    force_range: None without bounds. late: None without a delay. pulls: the tendon that bounds the forces of
-    all of its actuators together.
+    force_range: None without bounds. late: None without a delay. tendon: that bounds the forces of all of
+    its actuators together.
     """
 
     path: ActuatorPath
@@ -73,7 +73,7 @@ class ActuatorConstants:
     control_range: Range | None
     force_range: Range | None
     late: Late | None
-    pulls: BoundedTendon | None
+    tendon: BoundedTendon | None
 
 
 @dataclass(frozen=True)
@@ -136,17 +136,17 @@ def driven(
     tree: Tree, actuators: tuple[ActuatorConstants, ...], state: ActuatorState, timestep: float
 ) -> Driven:
     """The actuators in a timestep."""
-    found = Driven([], [0.0] * len(state.qvel), list(state.act), [], list(state.history))
-    found.forces.extend([0.0] * len(actuators))
+    forces: Vector = [0.0] * len(actuators)
+    found = Driven(forces, [0.0] * len(state.qvel), list(state.act), [], list(state.history))
     if not actuators:
         return found
     bounded: dict[BoundedTendon, list[_Pull]] = {}
     for number, (actuator, control) in enumerate(zip(actuators, state.ctrl, strict=True)):
         pull = _pull(actuator, number, control, state, timestep, found)
-        if actuator.pulls is None:
+        if actuator.tendon is None:
             _apply(pull, found)
         else:
-            bounded.setdefault(actuator.pulls, []).append(pull)
+            bounded.setdefault(actuator.tendon, []).append(pull)
     for tendon, pulls in bounded.items():
         share = _share_left([pull.force for pull in pulls], tendon.range)
         for pull in pulls:
@@ -255,7 +255,7 @@ def _actuator(fields: Fields, number: int, late: Late | None) -> ActuatorConstan
         control_range=_range(model.actuator_ctrlrange[number]) if limits_control else None,
         force_range=(low, high) if model.actuator_forcelimited[number] else None,
         late=late,
-        pulls=_bounded_tendon(model, number),
+        tendon=_bounded_tendon(model, number),
     )
 
 

@@ -24,7 +24,7 @@ from mujoco_compiled.tests.test_contact_substep import assert_moves_as_mujoco, f
 from mujoco_compiled.tests.test_convex import STONE
 
 Array = NDArray[np.float64]
-NUM_STATES = 200
+NUM_STATES = 100
 # Turned and shifted, with cells that are no squares, and of which no two neighbours are level.
 HILLS = """
 <mujoco>
