@@ -59,6 +59,11 @@ def box_box(one: Placed, other: Placed) -> list[Touch]:
     ]
 
 
+def box_box_gap(one: Placed, other: Placed) -> Number:
+    """How far apart the boxes are at least: as the faces' directions have it."""
+    return _best_face(_boxes(one, other)).gap
+
+
 @dataclass(frozen=True)
 class _Boxes:
     """positions, sizes: of both, [2][3]. axes: in the world, [2][3][3]. way: from the first to the second.

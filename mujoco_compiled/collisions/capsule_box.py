@@ -7,6 +7,7 @@ Source: MuJoCo's `mjraw_CapsuleBox`.
 """
 
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product
 
 from mujoco_compiled.collisions.boxes import ball_in_box
@@ -33,9 +34,7 @@ _NONE = -4.0
 
 def capsule_box(capsule: Placed, box: Placed) -> list[Touch]:
     """Two points."""
-    radius, half_length, _ = capsule.size
-    axis = box.inward(capsule.axis)
-    segment = _Segment(box.inward(subtract(capsule.position, box.position)), axis, half_length, box.size)
+    radius, segment = capsule.size[0], _segment(capsule, box)
     face, edge = _nearest_end(segment), _nearest_edge(segment)
     is_edge = edge.distance < face.distance - _SMALLEST
     first = select(is_edge, edge.place, face.place)
@@ -43,6 +42,13 @@ def capsule_box(capsule: Placed, box: Placed) -> list[Touch]:
     touches = [ball_in_box(segment.at(place), radius, box) for place in (first, first + second)]
     has_second = second > 0.75 * _NONE
     return [touches[0], _if(has_second, touches[1])]
+
+
+def capsule_box_gap(capsule: Placed, box: Placed) -> Number:
+    """How far apart both are at least: as the directions of the box's faces have it."""
+    segment = _segment(capsule, box)
+    sides = zip(segment.middle, segment.half, box.size, strict=True)
+    return reduce(maximum, (absolute(x) - absolute(way) - size for x, way, size in sides)) - capsule.size[0]
 
 
 def _if(exists: Number, touch: Touch) -> Touch:
@@ -75,6 +81,11 @@ class _Segment:
 
     def at(self, place: Number) -> Vector:
         return add(self.middle, scale(self.half, place))
+
+
+def _segment(capsule: Placed, box: Placed) -> _Segment:
+    middle = box.inward(subtract(capsule.position, box.position))
+    return _Segment(middle, box.inward(capsule.axis), capsule.size[1], box.size)
 
 
 @dataclass(frozen=True)

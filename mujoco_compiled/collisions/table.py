@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping
 
 import mujoco
 
-from mujoco_compiled.collisions.box_box import box_box
+from mujoco_compiled.collisions.box_box import box_box, box_box_gap
 from mujoco_compiled.collisions.boxes import sphere_box
-from mujoco_compiled.collisions.capsule_box import capsule_box
+from mujoco_compiled.collisions.capsule_box import capsule_box, capsule_box_gap
 from mujoco_compiled.collisions.cylinder_box import cylinder_box
 from mujoco_compiled.collisions.cylinders import sphere_cylinder
 from mujoco_compiled.collisions.ellipsoid_box import ellipsoid_box
@@ -64,6 +64,11 @@ def capsule_capsule(one: Placed, other: Placed) -> list[Touch]:
     return [_between(centre, radius, centre_other, radius_other)]
 
 
+def capsule_gap(one: Placed, other: Placed) -> Number:
+    """How far apart capsules are, or cylinders, which are within capsules of their length, at least."""
+    return capsule_capsule(one, other)[0].distance
+
+
 def _between(one: Vector, radius: Number, other: Vector, radius_other: Number) -> Touch:
     """The contact of two spheres. Where their centres coincide, the normal is the x axis, unlike MuJoCo's."""
     way = subtract(other, one)
@@ -110,6 +115,14 @@ COLLIDERS: Mapping[tuple[int, int], tuple[Collider, int]] = {
             *((kind, _MESH) for kind in (_SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX)),
         )
     },
+}
+# What is no more than the distance, and takes far fewer operations than the points.
+GAPS: Mapping[tuple[int, int], Callable[[Placed, Placed], Number]] = {
+    (_CAPSULE, _BOX): capsule_box_gap,
+    (_CYLINDER, _BOX): capsule_box_gap,
+    (_CAPSULE, _CYLINDER): capsule_gap,
+    (_CYLINDER, _CYLINDER): capsule_gap,
+    (_BOX, _BOX): box_box_gap,
 }
 # Where a look at whether geoms are near takes as long as to compute the points.
 CHEAP = frozenset({(_PLANE, _SPHERE), (_PLANE, _CAPSULE), (_SPHERE, _SPHERE)})

@@ -6,7 +6,7 @@ from typing import Any
 
 from mujoco_compiled.collisions.prisms import Window
 from mujoco_compiled.collisions.shapes import Geom, Placed, Touch
-from mujoco_compiled.collisions.table import COLLIDERS
+from mujoco_compiled.collisions.table import COLLIDERS, GAPS
 from mujoco_compiled.constraints.contact_room import Room
 from mujoco_compiled.constraints.contact_slots import Slot, SlotKind
 from mujoco_compiled.constraints.contacts import ContactPair, Side, are_close, push
@@ -26,6 +26,8 @@ from mujoco_compiled.smooth.dynamics import Motion
 from mujoco_compiled.smooth.kinematics import Poses
 from mujoco_compiled.smooth.tree_loops import TreeLoops
 
+# In m, more than rounding and a search without end can make of a distance.
+_ROUNDING = 1e-4
 _UNTURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
@@ -63,10 +65,16 @@ class ContactTables:
             self._search(loop)
 
     def _search(self, loop: "_Loop") -> None:
-        """First notes which pairs are close: the threads of a warp then have their own ones side by side."""
+        """First notes which pairs are close, and of these, which may touch: the threads of a warp then have
+        their own ones side by side."""
 
         def look(row: Place, _: Vector) -> Vector:
             where_any(loop.are_close(row), lambda: loop.close.append(row))
+            return []
+
+        def look_again(number: Place, _: Vector) -> Vector:
+            row = loop.close.at(number)
+            where_any(loop.may_touch(row), lambda: loop.close.append(row))
             return []
 
         def touch(number: Place, _: Vector) -> Vector:
@@ -75,6 +83,11 @@ class ContactTables:
 
         loop.close.clear()
         for_each(self._program, len(loop.contacts), look)
+        if loop.gap:
+            number = loop.close.length()
+            # In place: a row goes to where it was, or before.
+            loop.close.clear()
+            for_each(self._program, number, look_again)
         for_each(self._program, loop.close.length(), touch)
 
     def _touch(self, loop: "_Loop", row: Place) -> None:
@@ -153,7 +166,10 @@ class _GeomTable:
 
 
 class _Loop:
-    """Contacts whose points one routine finds. begin: the row of the first among those of `kind`."""
+    """Contacts whose points one routine finds. begin: the row of the first among those of `kind`.
+
+    close: rows of geoms that may touch in this state. gap: see `GAPS`.
+    """
 
     def __init__(
         self, kind: SlotKind, number: int, contacts: Sequence[ContactPair], geoms: _GeomTable
@@ -161,6 +177,7 @@ class _Loop:
         self.kind, self.contacts, self.first = kind, contacts, contacts[0]
         self.begin = next(row for row, one in enumerate(kind.contacts) if one is self.first)
         self.close = rows(kind.program, f"{kind.name} {number} close", len(contacts))
+        self.gap = GAPS.get(self.first.kinds)
         self._rows = [
             integers(kind.program, f"{kind.name} {number} geoms {k}", [geoms.rows[one.number] for one in own])
             for k, own in enumerate(zip(*((one.one, one.other) for one in contacts), strict=True))
@@ -197,6 +214,11 @@ class _Loop:
             parameters=replace(self.first.parameters, reach=at["reach"]),
         )
         return are_close(contact, *(geom(row) for geom in self.geoms))
+
+    def may_touch(self, row: Place) -> Number:
+        """Whether the gap between the geoms is small enough."""
+        assert self.gap is not None  # noqa: S101
+        return self.gap(*(geom(row) for geom in self.geoms)) < self._columns["reach"].at(row) + _ROUNDING
 
 
 _COLUMNS: dict[str, Callable[[ContactPair], Number]] = {
