@@ -11,7 +11,7 @@ from api.audit_log import AuditLog
 from api.authentication import Authenticator, RequestLimit
 from api.monitoring import RecentReading
 from api.oidc import IdentityProvider
-from api.shared_reads import JobWatcher, Owners, RecentAnswers, SharedReads
+from api.shared_reads import JobWatcher, Owners, RecentAnswers, SharedReads, Turns
 from core.accounts.store import AccountStore
 from core.jobs import feeds
 from core.jobs.job import JOB_ID, check_job_id
@@ -47,6 +47,7 @@ class Service:
     authenticator: finds out who makes a request; None if the service has no accounts.
     provider: where users sign in; None if there is no identity provider.
     sign_ins: counts those that fail, by address.
+    turns: when the waiting jobs should start.
     owners: of the jobs and sweeps that were asked for last.
     """
 
@@ -68,11 +69,13 @@ class Service:
     provider: IdentityProvider | None = field(init=False)
     sign_ins: RequestLimit = field(init=False)
     owners: Owners = field(default_factory=Owners)
+    turns: Turns = field(init=False)
     audit_log: AuditLog = field(init=False)
     recent: RecentReading = field(init=False)
 
     def __post_init__(self) -> None:
         self.watcher = JobWatcher(self.store)
+        self.turns = Turns(self.store)
         self.acknowledgements = Acknowledgements(self.store.dispatched)
         settings = self.settings
         self.authenticator = None

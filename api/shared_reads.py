@@ -8,9 +8,10 @@ import asyncio
 import re
 import time
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Coroutine, Generator, Hashable, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Generator, Hashable, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import Context
+from datetime import timedelta
 from threading import Lock
 from typing import Any, Generic, TypeVar
 
@@ -20,13 +21,17 @@ from anyio import CapacityLimiter, to_thread
 
 from core.accounts.principal import Ownership
 from core.errors import Unavailable
+from core.jobs.forecast import forecasts_of
 from core.jobs.store import JobStore, Mark
+from core.jobs.workers import WorkerInfo
+from gaitway.schema import TurnView
 
 Answer = TypeVar("Answer")
 _MAX_AGE = re.compile(r"\bmax-age=(\d{1,3})\b")
 _MAX_ANSWERS = 64
 log = structlog.get_logger()
 _PAUSE_S = 0.1
+_TURNS_FOR_S = 1.0
 _PAUSE_IN_OUTAGE_S = 1.0
 
 
@@ -79,6 +84,36 @@ class RecentAnswers:
             self._answers.move_to_end(question)
             if len(self._answers) > _MAX_ANSWERS:
                 self._answers.popitem(last=False)
+
+
+class Turns:
+    """When the waiting jobs should start, as it was found out in the last moments; thread-safe."""
+
+    def __init__(self, store: JobStore) -> None:
+        self._store = store
+        self._lock = Lock()
+        self._found: Mapping[str, TurnView] = {}
+        self._until = 0.0
+
+    def now(self, workers: Sequence[WorkerInfo]) -> Mapping[str, TurnView]:
+        """By job. Where ten thousand wait it takes a tenth of a second, so it is not done at each request."""
+        with self._lock:
+            if time.monotonic() >= self._until:
+                began = time.monotonic()
+                self._found = self._forecast(workers)
+                self._until = time.monotonic() + max(_TURNS_FOR_S, 20 * (time.monotonic() - began))
+            return self._found
+
+    def _forecast(self, workers: Sequence[WorkerInfo]) -> Mapping[str, TurnView]:
+        now, found = self._store.now(), forecasts_of(self._store.turn_facts(), workers)
+        return {
+            job: TurnView(
+                before=one.before,
+                reason=one.reason,
+                starts_at=None if one.starts_s is None else now + timedelta(seconds=one.starts_s),
+            )
+            for job, one in found.items()
+        }
 
 
 class Owners:

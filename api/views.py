@@ -19,6 +19,7 @@ from core.errors import Rejected
 from core.jobs.job import Artifact, Job, Progress, UnreadableJob
 from core.jobs.slots import WantedSlots
 from core.jobs.spec import SentSpec
+from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerInfo, what_it_waits_for
 from core.rendering.layout import TRACK
 from core.sweeps import pbt
@@ -41,6 +42,7 @@ from gaitway.schema import (
     SweepDetails,
     SweepView,
     TrialView,
+    TurnView,
 )
 
 Item = TypeVar("Item")
@@ -83,8 +85,12 @@ def artifact_view(job_id: str, artifact: Artifact) -> ArtifactView:
     return ArtifactView(**artifact.model_dump(exclude={"key"}), href=href)
 
 
-def job_view(job: Job | UnreadableJob, workers: Sequence[WorkerInfo] | None = None) -> JobView:
-    """workers: the present ones, for a document that says what the job waits for."""
+def job_view(
+    job: Job | UnreadableJob,
+    workers: Sequence[WorkerInfo] | None = None,
+    turns: Mapping[str, TurnView] | None = None,
+) -> JobView:
+    """workers, turns: the present ones, for a document that says what the job waits for."""
     if isinstance(job, UnreadableJob):
         return _unreadable_view(job)
     progress = job.progress if job.status.is_held else job.progress.model_copy(update={"phase": None})
@@ -101,6 +107,7 @@ def job_view(job: Job | UnreadableJob, workers: Sequence[WorkerInfo] | None = No
         finished_at=job.finished_at,
         not_before=job.not_before,
         waiting_for=None if workers is None else what_it_waits_for(job, workers),
+        turn=None if turns is None or job.status != JobStatus.QUEUED else turns.get(job.id),
         owner=job.owner,
         project=job.project,
         imported_from=None if job.imported_from is None else OriginView.model_validate(job.imported_from),

@@ -157,7 +157,8 @@ def list_jobs(
     if found is None:
         page = service.store.list(query, cursor=listed.cursor, limit=listed.limit, brief=True)
         workers = _workers(page.jobs, service)
-        views = [job_view(job, workers) for job in page.jobs]
+        turns = None if workers is None else service.turns.now(workers)
+        views = [job_view(job, workers, turns) for job in page.jobs]
         found = Listing[JobView](items=views, next=page.next_cursor).model_dump_json().encode()
         service.lists.keep(question, found)
     return Response(found, media_type="application/json")
@@ -167,7 +168,8 @@ def list_jobs(
 def read_job(job_id: JobId, service: ServiceDep) -> Response:
     """A job as it is now."""
     job = service.store.find(job_id)
-    return answer(job_view(job, _workers([job], service)))
+    workers = _workers([job], service)
+    return answer(job_view(job, workers, None if workers is None else service.turns.now(workers)))
 
 
 @router.post(

@@ -3,10 +3,25 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from heapq import heapify, heapreplace
 
-from core.jobs.turns import Request, Standings, in_order
+from core.devices import gpu_indices
+from core.jobs.turns import Quotas, Request, Share, Standings, Started, Who, in_order, standings_on
+from core.jobs.workers import WorkerInfo
+
+# A job that has run for longer than usual ends in about so many seconds.
+_OVERDUE_S = 60.0
+
+
+@dataclass(frozen=True)
+class TurnFacts:
+    """What the record says of one moment. waiting: the oldest, with the kind of the slot that each needs."""
+
+    waiting: Sequence[Request]
+    started: Sequence[Started]
+    shares: Sequence[Share]
+    quotas: Quotas
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +43,46 @@ class Forecast:
     reason: str
 
 
+def forecasts_of(facts: TurnFacts, workers: Sequence[WorkerInfo]) -> Mapping[str, Forecast]:
+    """By the job's id, if there is a worker for it; the earlier one of a GPU's and a CPU's."""
+    found = dict[str, Forecast]()
+    for device in ("gpu", "cpu"):
+        own = [
+            one
+            for one in workers
+            if one.state == "ready" and bool(gpu_indices(one.device)) == (device == "gpu")
+        ]
+        standings, usual_s = standings_on(device, facts.shares, facts.started, facts.quotas)
+        lanes = [_lane(worker, facts.started, usual_s) for worker in own]
+        kinds = frozenset[str]().union(*(lane.kinds for lane in lanes))
+        requests = [
+            replace(request, expected_s=usual_s.get(request.who))
+            for request in facts.waiting
+            if request.kind in kinds
+        ]
+        mean_s = sum(usual_s.values()) / len(usual_s) if usual_s else None
+        for job, forecast in forecasts(requests, lanes, standings, mean_s).items():
+            if job not in found or _start(forecast) < _start(found[job]):
+                found[job] = forecast
+    return found
+
+
+def _lane(worker: WorkerInfo, started: Sequence[Started], usual_s: Mapping[Who, float]) -> Lane:
+    kinds = frozenset(queue.rpartition("-")[0] for queue in worker.queues)
+    holds = [one for one in started if one.id in worker.jobs]
+    if not holds:
+        return Lane(kinds, 0.0)
+    expected_s = usual_s.get(holds[0].who)
+    if expected_s is None:
+        return Lane(kinds, None)
+    left_s = expected_s - holds[0].age_s
+    return Lane(kinds, left_s if left_s > 0 else _OVERDUE_S)
+
+
+def _start(forecast: Forecast) -> float:
+    return math.inf if forecast.starts_s is None else forecast.starts_s
+
+
 def forecasts(
     requests: Sequence[Request], lanes: Sequence[Lane], standings: Standings, usual_s: float | None
 ) -> Mapping[str, Forecast]:
@@ -37,35 +92,33 @@ def forecasts(
         free[lane.kinds].append(math.inf if lane.free_s is None else lane.free_s)
     for ends in free.values():
         heapify(ends)
+    limits = {request.who: standings.limit(request.who) for request in requests}
     started = Counter[frozenset[str]]()
     found = dict[str, Forecast]()
     for request in in_order(requests, standings):
         able = [kinds for kinds in free if request.kind in kinds]
         before = sum(started[kinds] for kinds in able)
         if not able:
-            found[request.id] = Forecast(before, None, "No slot of its kind is there.")
+            found[request.id] = Forecast(before, None, "No worker takes jobs like it.")
             continue
         kinds = min(able, key=lambda kinds: free[kinds][0])
         starts_s = free[kinds][0]
         takes_s = request.expected_s if request.expected_s is not None else usual_s
         heapreplace(free[kinds], math.inf if takes_s is None else starts_s + takes_s)
-        number = sum(len(free[kinds]) for kinds in able)
-        found[request.id] = Forecast(before, starts_s if starts_s < math.inf else None, _why(before, number))
+        slots = sum(len(free[kinds]) for kinds in able)
+        found[request.id] = Forecast(before, starts_s if starts_s < math.inf else None, _why(before, slots))
         started[kinds] += 1
     for request in requests:
         if request.id not in found:
-            limit = standings.limit(request.who)
-            found[request.id] = Forecast(0, None, limit or "A quota of running jobs holds it back.")
+            # Some of theirs would start, and the rest after them.
+            later = "It starts when others of its user or project have ended: their quota of running jobs."
+            found[request.id] = Forecast(sum(started.values()), None, limits[request.who] or later)
     return found
 
 
 def _why(before: int, slots: int) -> str:
-    busy = (
-        "The one slot that could take it is busy"
-        if slots == 1
-        else f"All {slots} slots that could take it are busy"
-    )
     if not before:
-        return f"It is next. {busy}, or one is taking it now."
+        return "It is next: it starts when a worker that takes jobs like it is free."
+    workers = "the one worker that takes" if slots == 1 else f"the {slots} workers that take"
     jobs = "1 job has its turn" if before == 1 else f"{before:,} jobs have their turn"
-    return f"{busy}, and {jobs} before it: by priority, by who has used least of late, and by age."
+    return f"It is for {workers} jobs like it; {jobs} before it, by priority, recent use and age."

@@ -20,8 +20,8 @@ log = structlog.get_logger()
 # How much one look hands over, and for how long at most: meanwhile no lease is watched. After Redis was
 # emptied, the next looks hand over the rest.
 _AT_ONCE, _FOR_S = 500, 1.0
-# Within so many looks a worker that has taken a message has claimed a job by it.
-_LOOKS_IF_TAKEN = 10
+# Within this time a worker that has taken a message has claimed a job by it.
+_CLAIMED_WITHIN_S = 10.0
 # Jobs that this version cannot read are left out of later looks, so that others get their turn.
 _MOST_SET_ASIDE = 10_000
 
@@ -36,8 +36,8 @@ class Reconciler:
         self._store = store
         self._queue = queue
         self._lease = lease
-        # How often in a row what waits in the record did not wait in the queue.
-        self._missing: Mapping[Dispatch, int] = {}
+        # Since when what waits in the record has not waited in the queue, at each look.
+        self._missing: Mapping[Dispatch, float] = {}
         self._unreadable: set[tuple[str, int]] = set()
 
     def run_once(self) -> int:
@@ -54,7 +54,7 @@ class Reconciler:
         known, busy = self._queue.known(), frozenset(self._queue.taken())
         heard = {dispatch for dispatch in late if _is_known(dispatch, known, self._queue)}
         handed = self._hand_over(self._lacking(late, known, busy), busy)
-        self._missing = {one: looks for one, looks in self._missing.items() if one not in frozenset(handed)}
+        self._missing = {one: since for one, since in self._missing.items() if one not in frozenset(handed)}
         self._store.dispatched([*heard, *handed])
         return len({*(job.id for job in taken), *(dispatch.subject for dispatch in handed)})
 
@@ -95,12 +95,13 @@ class Reconciler:
             for dispatch in self._store.waiting(room, {*waits, *self._unreadable})
             if not _is_known(dispatch, waits, self._queue)
         ]
-        self._missing = {dispatch: self._missing.get(dispatch, 0) + 1 for dispatch in found}
+        before, now = self._missing, time.monotonic()
+        self._missing = {dispatch: before.get(dispatch, now) for dispatch in found}
 
         def is_due(dispatch: Dispatch) -> bool:
             if (dispatch.subject, dispatch.attempt) in busy:
-                return self._missing[dispatch] >= _LOOKS_IF_TAKEN
-            return dispatch in late or self._missing[dispatch] > 1
+                return now - self._missing[dispatch] >= _CLAIMED_WITHIN_S
+            return dispatch in late or dispatch in before
 
         return [dispatch for dispatch in found if is_due(dispatch)][:_AT_ONCE]
 

@@ -11,11 +11,13 @@ from pydantic import Field
 from core.accounts.principal import Ownership
 from core.documents import Stored
 from core.errors import Problem, Rejected
+from core.jobs.forecast import TurnFacts
 from core.jobs.job import Job, Progress, UnreadableJob, utc_now
 from core.jobs.metrics import Block, Measurement
 from core.jobs.slots import QueueCount
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
+from core.jobs.turns import Quotas
 from core.jobs.usage import UsageStore
 from core.jobs.workers import WorkerStore
 from core.news.store import NewsStore
@@ -333,6 +335,14 @@ class JobStore(ModelStore, NewsStore, UsageStore, WorkerStore, Protocol):
         fits: whether this worker can run the job; it has to be quick. told: the job of RQ's message, which
         counts for the queues also where an older version wrote its row.
         """
+        ...
+
+    def turn_facts(self) -> TurnFacts:
+        """What a forecast of the waiting jobs needs: reads all that wait, so ask now and then."""
+        ...
+
+    def quotas(self) -> Quotas:
+        """Those that were set."""
         ...
 
     def undispatched(self) -> Sequence[Dispatch]:

@@ -214,6 +214,45 @@ def in_order(requests: Iterable[Request], standings: Standings) -> Iterator[Requ
                 heappop(heads)
 
 
+@dataclass(frozen=True, slots=True)
+class Share:
+    """What a user has used in a project of late. usual_s: how long an attempt of theirs takes, on average."""
+
+    device: str
+    who: Who
+    amount: float
+    usual_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """A running attempt, as the record has it. device: `gpu` or `cpu`; age_s: since its start."""
+
+    id: str
+    who: Who
+    device: str
+    gpus: int
+    age_s: float
+
+
+def standings_on(
+    device: str, shares: Iterable[Share], started: Iterable[Started], quotas: Quotas
+) -> tuple[Standings, Mapping[Who, float]]:
+    """Those among the users of this kind of device, and how long their attempts take."""
+    own = [share for share in shares if share.device == device]
+    usual_s = {share.who: share.usual_s for share in own}
+    held, others = list[Held](), list[Who]()
+    for one in started:
+        if one.device == device:
+            expected_s = usual_s.get(one.who)
+            ends_at = None if expected_s is None else expected_s - one.age_s
+            held.append(Held(one.id, 0, one.who, one.gpus, -one.age_s, ends_at))
+        else:
+            others.append(one.who)
+    use = {share.who: share.amount for share in own}
+    return Standings(use, held, elsewhere=others, quotas=quotas), usual_s
+
+
 # ---- Which one a pool takes, and what is kept for whom. ---------------------------------------------------
 
 

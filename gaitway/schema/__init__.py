@@ -38,6 +38,7 @@ from gaitway.schema.jobs import (
     MetricsRow,
     OriginView,
     ProgressView,
+    TurnView,
 )
 from gaitway.schema.news import DeliveryView, NewWebhookView, WebhookView
 from gaitway.schema.sweeps import GroupView, SweepDetails, SweepView, TrialView
@@ -73,6 +74,7 @@ __all__ = [
     "SweepView",
     "TokenView",
     "TrialView",
+    "TurnView",
     "UsageView",
     "UserView",
     "View",

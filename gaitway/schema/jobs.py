@@ -61,6 +61,17 @@ class OriginView(View):
     imported_at: datetime
 
 
+class TurnView(View):
+    """Where a queued job stands. before: how many jobs start before it. reason: a sentence.
+
+    starts_at: an estimate, by how long the jobs of each user took of late; null without one.
+    """
+
+    before: int
+    reason: str
+    starts_at: datetime | None = None
+
+
 class JobView(View):
     """A job as it is now.
 
@@ -92,6 +103,7 @@ class JobView(View):
         description="What a queued job lacks, if no present worker could run it; only `GET` returns it.",
         examples=["No worker has exactly 4 GPUs: the workers here have cpu, gpu:0."],
     )
+    turn: TurnView | None = Field(None, description="When a queued job should start; only `GET` returns it.")
     imported_from: OriginView | None = Field(
         None,
         description="Where an imported job was run. Ids in its `spec` are of that service; `attempts` and "

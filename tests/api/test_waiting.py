@@ -8,6 +8,7 @@ from core.jobs.queue import queue_names
 from core.jobs.workers import WorkerInfo
 from tests.api.conftest import NOON, Stack
 
+_ANT = {"kind": "train", "environment": "ant"}
 _SENTENCE = "No worker has exactly 4 GPUs: the workers here have cpu."
 
 
@@ -15,7 +16,7 @@ def test_a_job_that_nobody_can_take_says_so_until_somebody_can(stack: Stack) -> 
     announce(stack, "cpu")
     job = submit(stack, gpus=4)
     assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] == _SENTENCE
-    other = stack.http.post("/jobs", json={"kind": "train", "environment": "ant"}).json()["id"]
+    other = stack.http.post("/jobs", json=_ANT).json()["id"]
     listed = stack.http.get("/jobs").json()["items"]
     assert {item["id"]: item["waiting_for"] for item in listed} == {job: _SENTENCE, other: None}
     announce(stack, "gpu:0-3")
@@ -56,3 +57,15 @@ def announce(stack: Stack, device: str, packages: tuple[str, ...] | None = None)
 def submit(stack: Stack, gpus: int) -> str:
     spec = {"kind": "train", "environment": "ant", "resources": {"gpus": gpus}}
     return stack.http.post("/jobs", json=spec).json()["id"]
+
+
+def test_a_job_says_how_many_are_before_it(stack: Stack) -> None:
+    announce(stack, "cpu")
+    first, second = (stack.http.post("/jobs", json=_ANT).json()["id"] for _ in range(2))
+    turn = stack.http.get(f"/jobs/{second}").json()["turn"]
+    assert turn["before"] == 1
+    assert "1 job has its turn before it" in turn["reason"]
+    listed = {item["id"]: item["turn"]["before"] for item in stack.http.get("/jobs").json()["items"]}
+    assert listed == {first: 0, second: 1}
+    stack.http.post(f"/jobs/{first}/cancel")
+    assert stack.http.get(f"/jobs/{first}").json()["turn"] is None

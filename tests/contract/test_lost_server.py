@@ -62,6 +62,8 @@ def calls(job: Job) -> Mapping[str, Call]:
         "name_model": lambda jobs: jobs.name_model(MODEL, "a dog"),
         "waiting": lambda jobs: jobs.waiting(),
         "take_turn": lambda jobs: jobs.take_turn(["q"], "w", now=NOW, lease=LEASE, secret="s"),
+        "turn_facts": lambda jobs: jobs.turn_facts(),
+        "quotas": lambda jobs: jobs.quotas(),
         "queue_counts": lambda jobs: jobs.queue_counts(),
         "numbers": lambda jobs: jobs.numbers(),
         "usage": lambda jobs: jobs.usage(NOW),

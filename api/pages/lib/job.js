@@ -62,6 +62,7 @@ export function whyQueued(job, workers) {
   if (job.waiting_for) return job.waiting_for;
   if (job.not_before && new Date(job.not_before) > Date.now()) return `The attempt before failed; it is tried again at ${moment(job.not_before)}.`;
   if (!workers.length) return "No worker is running.";
+  if (job.turn) return job.turn.reason;
   return workers.every((worker) => worker.job) ? "Every worker that could run it is busy." : "Jobs before it come first.";
 }
 

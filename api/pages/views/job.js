@@ -121,14 +121,14 @@ function Message({ job }) {
   return html`<p class="message ${job.status}">${job.reason}: <${Prose} text=${job.message} /></p>`;
 }
 
-/** Why it waits, and what comes before it. */
+/** Why it waits, and when it should start. */
 function Waits({ job }) {
-  const { data } = useLive((signal) => Promise.all([everyItem("/workers", { signal }), get("/jobs", { status: "queued", limit: 100 }, { signal })]), [job.id], 3000);
+  const { data } = useLive((signal) => Promise.all([everyItem("/workers", { signal }), get(`/jobs/${job.id}`, {}, { signal })]), [job.id], 3000);
   if (!data) return job.waiting_for && html`<p class="message" role="status">It waits. ${job.waiting_for}</p>`;
-  const [workers, queued] = data;
-  const before = queued.items.filter((one) => one.created_at < job.created_at).length;
-  return html`<p class="message" role="status">It waits. <${Prose} text=${whyQueued(job, workers)} />
-    ${before > 0 && ` ${before} older ${before === 1 ? "job waits" : "jobs wait"}, too.`} <a href="#/workers">The queue</a></p>`;
+  const [workers, now] = data;
+  const starts = !now.waiting_for && now.turn?.starts_at;
+  return html`<p class="message" role="status">It waits. <${Prose} text=${whyQueued(now, workers)} />
+    ${starts && new Date(starts) > Date.now() && ` By how long jobs took of late, it starts at about ${moment(starts)}.`} <a href="#/workers">The queue</a></p>`;
 }
 
 function times(job) {

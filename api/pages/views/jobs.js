@@ -150,7 +150,7 @@ function Row({ job, picked }) {
 
 /** Why it waits, or why it did not succeed. */
 function Why({ job }) {
-  const text = job.waiting_for || (job.status !== "succeeded" && job.message);
+  const text = job.waiting_for || job.turn?.reason || (job.status !== "succeeded" && job.message);
   return text ? html`<p class="facts why"><${Prose} text=${text} /></p>` : null;
 }
 

@@ -19,10 +19,11 @@ from core.adapters.postgres.jobs import save_job
 from core.adapters.postgres.rows import HELD, find_job, readable
 from core.adapters.postgres.tables import quotas as quotas_table
 from core.adapters.postgres.usage import SHARES
+from core.jobs.forecast import TurnFacts
 from core.jobs.job import Job
 from core.jobs.queue import PRIORITIES
 from core.jobs.slots import kind_of_queue
-from core.jobs.turns import Held, Quota, Quotas, Request, Standings, Who, in_order
+from core.jobs.turns import Quota, Quotas, Request, Share, Started, in_order, standings_on
 
 # An arbitrary number of ours: two claims wait for each other. Without sorting, PostgreSQL walks the index
 # `jobs_turns` also where it has no statistics yet.
@@ -58,6 +59,10 @@ _RUNNING = text("""
     FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
     WHERE jobs.status = ANY(CAST(:held AS text[]))
 """)
+# The oldest; what is beyond has no forecast.
+_WAITING = text("""
+    SELECT id, queue, project, coalesce(owner, '') FROM jobs WHERE status = 'queued' ORDER BY id LIMIT 20000
+""")
 # A worker that lacks something for so many jobs in a row leaves the rest for its next turn.
 _MOST_UNFIT = 100
 
@@ -81,13 +86,14 @@ class TurnQueries(Session):
         with self._transaction() as connection:
             connection.execute(_BEGIN)
             running = connection.execute(_RUNNING, {"held": list(HELD)}).all()
+            started = [_started(row) for row in running]
+            device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in queues) else "cpu"
             if mine := [row.id for row in running if row.token.endswith(f"-{secret}")]:
                 return readable(find_job(connection, mine[0]))  # The answer to an earlier call was lost.
             while len(unfit) < _MOST_UNFIT:
                 heads = _heads(connection, queues, unfit, told)
-                first = (
-                    next(in_order(heads, _standings(connection, queues, running)), None) if heads else None
-                )
+                standings, _ = standings_on(device, _shares(connection), started, _quotas(connection))
+                first = next(in_order(heads, standings), None)
                 if first is None:
                     break
                 job = find_job(connection, first.id)
@@ -98,13 +104,14 @@ class TurnQueries(Session):
                 unfit.append(first.id)
         return None
 
-    def used(self) -> Mapping[str, Mapping[Who, float]]:
+    def turn_facts(self) -> TurnFacts:
         with self._statements() as connection:
-            rows = connection.execute(SHARES).all()
-        found = dict[str, dict[Who, float]]()
-        for row in rows:
-            found.setdefault(row.device, {})[row.project, row.owner] = row.amount
-        return found
+            return TurnFacts(
+                waiting=[request(*row) for row in connection.execute(_WAITING)],
+                started=[_started(row) for row in connection.execute(_RUNNING, {"held": list(HELD)})],
+                shares=_shares(connection),
+                quotas=_quotas(connection),
+            )
 
     def quotas(self) -> Quotas:
         with self._statements() as connection:
@@ -128,29 +135,22 @@ def request(job_id: str, queue: str | None, project: str, owner: str) -> Request
     priority = (queue or "").rpartition("-")[2]
     rank = PRIORITIES.index(priority) if priority in PRIORITIES else len(PRIORITIES)
     kind = kind_of_queue(queue)
-    return Request(job_id, rank, (project, owner), max(1, kind.gpus) * kind.hosts)
+    name = (queue or "").rpartition("-")[0]
+    return Request(job_id, rank, (project, owner), max(1, kind.gpus) * kind.hosts, kind=name)
 
 
-def _standings(connection: Connection, queues: Sequence[str], running: Sequence[Row[Any]]) -> Standings:
-    """Of the kind of device whose workers serve these queues."""
-    device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in queues) else "cpu"
-    use, usual_s = dict[Who, float](), dict[Who, float]()
-    for row in connection.execute(SHARES):
-        if row.device == device:
-            use[row.project, row.owner], usual_s[row.project, row.owner] = row.amount, row.usual_s
-    held = list[Held]()
-    others = list[Who]()
-    for row in running:
-        who: Who = (row.project, row.owner)
-        if ("gpu" if ":gpu" in row.worker else "cpu") == device:  # As a worker names itself.
-            of_job = kind_of_queue(row.queue)
-            gpus = max(1, of_job.gpus) * of_job.hosts
-            expected = usual_s.get(who)
-            ends_at = None if expected is None else expected - row.age_s
-            held.append(Held(row.id, 0, who, gpus, -row.age_s, ends_at))
-        else:
-            others.append(who)
-    return Standings(use, held, elsewhere=others, quotas=_quotas(connection))
+def _shares(connection: Connection) -> list[Share]:
+    return [
+        Share(row.device, (row.project, row.owner), row.amount, row.usual_s)
+        for row in connection.execute(SHARES)
+    ]
+
+
+def _started(row: Row[Any]) -> Started:
+    kind = kind_of_queue(row.queue)
+    device = "gpu" if ":gpu" in row.worker else "cpu"  # As a worker names itself.
+    gpus = max(1, kind.gpus) * kind.hosts
+    return Started(row.id, (row.project, row.owner), device, gpus, row.age_s)
 
 
 def _quotas(connection: Connection) -> Quotas:

@@ -191,7 +191,9 @@ def test_a_queued_job_says_why_it_waits(stack: Stack, tab: Tab, attempt: Attempt
     )
     stack.store.add(later)
     page = tab.open(f"#/jobs/{later.id}")
-    said = page.get_by_text("It waits. Every worker that could run it is busy. 1 older job waits, too.")
+    said = page.get_by_text(
+        "It waits. It is for the one worker that takes jobs like it; 1 job has its turn before it"
+    )
     expect(said).to_be_visible()
     said.get_by_role("link", name="The queue").click()
     expect(page.get_by_role("heading", name="Queue")).to_be_visible()
