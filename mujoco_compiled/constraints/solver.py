@@ -79,14 +79,14 @@ def acceleration(problem: SolverProblem, warm: Vector, settings: Settings) -> Ve
     scale = 1.0 / (settings.mean_inertia * max(1, len(problem.force)))
 
     def iterate(carried: list[Number]) -> tuple[list[Number], Number]:
-        guess = _unpacked(carried, start)
+        guess, improves = _unpacked(carried[1:], start), carried[0]
         direction, gradient = _newton_direction(problem, guess)
-        moved, gain = _line_search(problem, guess, direction, settings, scale)
+        moved, gain = _line_search(problem, guess, direction, settings, scale, improves)
         steepness = sqrt(dot(gradient, gradient))
-        improves = (gain * scale > settings.tolerance) & (steepness * scale > settings.tolerance)
-        return _packed(moved), improves
+        goes_on = (gain * scale > settings.tolerance) & (steepness * scale > settings.tolerance)
+        return [select(goes_on, 1.0, 0.0), *_packed(moved)], goes_on
 
-    return _unpacked(repeat(settings.iterations, iterate, _packed(start)), start).acceleration
+    return _unpacked(repeat(settings.iterations, iterate, [1.0, *_packed(start)])[1:], start).acceleration
 
 
 def _newton_direction(problem: SolverProblem, guess: _Guess) -> tuple[Vector, Vector]:
@@ -101,9 +101,16 @@ def _newton_direction(problem: SolverProblem, guess: _Guess) -> tuple[Vector, Ve
 
 
 def _line_search(
-    problem: SolverProblem, guess: _Guess, direction: Vector, settings: Settings, scale: float
+    problem: SolverProblem,
+    guess: _Guess,
+    direction: Vector,
+    settings: Settings,
+    scale: float,
+    improves: Number,
 ) -> tuple[_Guess, Number]:
     """The best guess along the direction, and by how much its cost is less.
+
+    improves: 1, or 0 where an environment has its acceleration and only stays while others run.
 
     The cost along a line is convex, and quadratic between the points where a row begins or ends to push. So
     Newton's method finds where the slope is 0, kept between places where the cost falls and where it rises.
@@ -134,9 +141,9 @@ def _line_search(
         # Not at an end: between rows that begin and end to push, guesses can go from one end to the other.
         inside = (low < guessed) & (guessed < high)
         bounded = select(high < _FAR, 0.5 * (low + high), 2.0 * step)
-        # A guess that rounding leaves where it was is as good as it gets.
-        moves = ~(~(guessed < step) & ~(step < guessed))
-        goes_on = moves & ~(absolute(first) < accuracy)
+        # Rounding moves a guess at the end: one that moves by a smaller part than this is as good as it gets.
+        moves = settings.tolerance * step < absolute(guessed - step)
+        goes_on = moves & (accuracy < improves * absolute(first))
         return [select(goes_on, select(inside, guessed, bounded), step), low, high], goes_on
 
     step = repeat(
