@@ -17,6 +17,7 @@ from mujoco_compiled.constraints.contact_room import MOST_NCONMAX
 from mujoco_compiled.coverage import Uncovered, uncovered, uncovered_own
 from mujoco_compiled.fields import MODEL_FIELDS, model_field
 from mujoco_compiled.smooth.delays import control_places
+from mujoco_compiled.smooth.tree_loops import FEW_DOFS
 from mujoco_compiled.write import Plan, control_step_in_lanes, control_step_program, derived_program
 
 Move = Literal["forward", "step"]
@@ -93,11 +94,12 @@ class Moves:
         described = f"{move} {self._described} {own}"
         if move == "forward":
             write, alone = partial(derived_program, plan), partial(derived_program, plan, alone=True)
-            return FunctionSource(described, write, alone, inputs, written)
+            return FunctionSource(described, write, alone, inputs, written, is_large=False)
         write, in_lanes = (
             partial(one, plan, self.nstep) for one in (control_step_program, control_step_in_lanes)
         )
-        return FunctionSource(described, write, in_lanes, inputs, written)
+        is_large = self.model.nv > FEW_DOFS
+        return FunctionSource(described, write, in_lanes, inputs, written, is_large)
 
     def _sizes(self, names: tuple[str, ...]) -> dict[str, int]:
         """Fields without elements are neither read nor written."""

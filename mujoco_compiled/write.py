@@ -116,7 +116,7 @@ def _begun(
     plan: Plan, *, alone: bool, limbs: Limbs | None = None
 ) -> tuple[Program, dict[str, Vector], Model]:
     """A program with its inputs, empty where the plan has none, and the model with the inputs' fields."""
-    program = Program()
+    program = Program(has_team=alone)
     names = ("qpos", "qvel", "act", "qacc_warmstart", "history", "time", "ctrl")
     symbols = {name: list[Symbol]() for name in names}
     symbols |= {name: program.inputs(name, size) for name, size in plan.inputs.items()}

@@ -7,7 +7,7 @@ from itertools import chain
 from mujoco_compiled.code.arrays import array_sizes
 from mujoco_compiled.code.long_writer import FunctionFrame, write_code
 from mujoco_compiled.code.memory import foreign_tables, memory_lines, tables
-from mujoco_compiled.code.writer import Target, Writer
+from mujoco_compiled.code.writer import Target, Writer, routines
 from mujoco_compiled.program.program import Program
 
 _WHOLE = "A vector's lanes are environments: the program must be a whole body's."
@@ -71,16 +71,17 @@ def cpu_function(
         f"  %exists = icmp slt {lanes} %environments, %limit",
     ]
     memory = memory_lines(program.memory, target)
-    pointers = "ptr %slots, ptr %numbers, ptr %counts"
-    parameters = f"{pointers}, i64 %begin, i64 %end, {arrays}"
+    pointers = "ptr %slots, ptr %numbers, ptr %counts, ptr %shared, ptr %common"
+    parameters, rows = f"{pointers}, i64 %begin, i64 %end, {arrays}", _CpuRows(sizes)
     frame = FunctionFrame(parameters, environments, slots="ptr", linkage="")
-    code = write_code(program, Writer(target, _CpuRows(sizes), block="group"), frame, section_size)
+    code = write_code(program, Writer(target, rows, block="group"), frame, section_size)
     declarations = [*target.declarations(), *_declarations(target)]
     parts = [code.functions[part::num_parts] for part in range(min(num_parts, len(code.functions)))]
     return [
         _module(
             *declarations,
             *tables(program.memory, target, linkage=""),
+            *routines(program, target, rows),
             *(f"declare void @section{k}({parameters})" for k in range(len(code.functions))),
             f"define void @{name}(i64 %first, i64 %end, {arrays}) {{",
             "entry:",

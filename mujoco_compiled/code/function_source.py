@@ -14,10 +14,14 @@ _CPU_SECTION, _GPU_SECTION = 250, 2_000
 
 @dataclass(frozen=True)
 class Kernel:
-    """num_lanes: of an environment. most_warps: of a block."""
+    """num_lanes: of an environment. most_warps: of a block. num_envs, shared_bytes: of a block whose threads
+    compute routines together, or 0. num_common: see `Memory`."""
 
     num_lanes: int
     most_warps: int
+    num_envs: int
+    shared_bytes: int
+    num_common: int
     ptx: str
 
 
@@ -25,13 +29,14 @@ class Kernel:
 class FunctionSource:
     """described: what tells it from other programs. write: writes the program; write_lanes: the same for
     several lanes, if the body has limbs that are alike. inputs, outputs: by name, how many numbers of an
-    environment an array holds, in the program's order."""
+    environment an array holds, in the program's order. is_large: whether it may have routines."""
 
     described: str
     write: Callable[[], Program]
     write_lanes: Callable[[], Program]
     inputs: Mapping[str, int]
     outputs: Mapping[str, int]
+    is_large: bool
 
     def cpu_code(self) -> bytes:
         """An object file for this processor."""
@@ -48,20 +53,26 @@ class FunctionSource:
 
         return kept(f"{self.described} for {processor()}", make)
 
-    def kernel(self, compute_capability: str) -> Kernel:
-        """For cards of this compute capability."""
-        from mujoco_compiled.code.gpu_kernel import gpu_kernel, most_warps
+    def kernel(self, compute_capability: str, load: int) -> Kernel:
+        """For cards of this compute capability. load: see `block_of`."""
+        from mujoco_compiled.code.gpu_kernel import block_of, gpu_kernel, most_warps
         from mujoco_compiled.code.long_writer import is_long
         from mujoco_compiled.code.ptx import ptx
 
         def make() -> bytes:
             program = self._checked(self.write_lanes())
             section_size = _GPU_SECTION if is_long(program) else None
-            code = ptx(gpu_kernel(program, FUNCTION, section_size), compute_capability)
-            return f"{program.num_lanes} {most_warps(program, section_size)} {code}".encode()
+            code = ptx(gpu_kernel(program, FUNCTION, section_size, load), compute_capability)
+            lanes, warps = program.num_lanes, most_warps(program, section_size)
+            block = block_of(program, section_size, load)
+            of_block = [block.num_envs, block.shared_bytes] if block else [0, 0]
+            sizes = [lanes, warps, *of_block, program.memory.num_common]
+            return f"{' '.join(map(str, sizes))} {code}".encode()
 
-        lanes, warps, code = kept(f"{self.described} for {compute_capability}", make).decode().split(" ", 2)
-        return Kernel(int(lanes), int(warps), code)
+        described = f"{self.described} for {compute_capability} with {load}"
+        *sizes, code = kept(described, make).decode().split(" ", 5)
+        lanes, warps, num_envs, shared_bytes, num_common = map(int, sizes)
+        return Kernel(lanes, warps, num_envs, shared_bytes, num_common, code)
 
     def _checked(self, program: Program) -> Program:
         """Raises ValueError if the program's arrays are others, which would write into foreign memory."""

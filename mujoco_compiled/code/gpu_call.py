@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mujoco_compiled.code.function_source import FUNCTION, FunctionSource
-from mujoco_compiled.code.gpu_kernel import WARP, threads_of
+from mujoco_compiled.code.function_source import FUNCTION, FunctionSource, Kernel
+from mujoco_compiled.code.gpu_kernel import MOST_SHARED, TEAM_WARPS, WARP, threads_of
 
 _TARGET = "__gpu$xla.gpu.ptx"
 
@@ -24,7 +24,8 @@ class GpuCall:
     def __init__(self, source: FunctionSource) -> None:
         self._source = source
         card: Any = jax.devices("gpu")[0]
-        self._kernel, self._num_processors = source.kernel(card.compute_capability), int(card.core_count)
+        self._capability, self._num_processors = card.compute_capability, int(card.core_count)
+        self._kernels: dict[int, Kernel] = {}
         self._many: Any = jax.custom_batching.custom_vmap(self._launch)
         self._many.def_vmap(self._on_another_axis)
 
@@ -35,27 +36,46 @@ class GpuCall:
     def _launch(self, *arrays: jax.Array) -> Sequence[jax.Array]:
         """arrays: [N, size] each."""
         num_envs = arrays[0].shape[0]
+        kernel = self._kernel(math.ceil(num_envs / self._num_processors))
         shapes = [
             jax.ShapeDtypeStruct((num_envs, size), jnp.float32) for size in self._source.outputs.values()
         ]
+        if kernel.num_envs:
+            room = math.ceil(num_envs / kernel.num_envs) * kernel.num_envs * kernel.num_common
+            shapes.append(jax.ShapeDtypeStruct((room,), jnp.float32))
         num_given = 1 + len(arrays)
         count = jnp.array([num_envs], jnp.int32)
-        return jax.ffi.ffi_call(_TARGET, shapes)(
+        found = jax.ffi.ffi_call(_TARGET, shapes)(
             count,
             *arrays,
             name=FUNCTION,
             kernel_type="ptx",
-            kernel_data=self._kernel.ptx,
-            **self._grid(num_envs),
-            shared_mem_bytes=np.int32(0),
+            kernel_data=kernel.ptx,
+            **self._grid(kernel, num_envs),
+            shared_mem_bytes=np.int32(kernel.shared_bytes),
             output_indices=np.arange(num_given, num_given + len(shapes), dtype=np.int32),
         )
+        return found[: len(self._source.outputs)]
 
-    def _grid(self, num_envs: int) -> dict[str, np.int32]:
+    def _kernel(self, load: int) -> Kernel:
+        """For this many environments to a processor of the card."""
+        few = (WARP // 2, WARP) if self._source.is_large else ()
+        load = next((most for most in few if load <= most), 2 * WARP)
+        if load not in self._kernels:
+            self._kernels[load] = self._source.kernel(self._capability, load)
+        return self._kernels[load]
+
+    def _grid(self, kernel: Kernel, num_envs: int) -> dict[str, np.int32]:
         """Enough blocks, and spread over all of the card's processors."""
-        num_warps = math.ceil(num_envs * threads_of(self._kernel.num_lanes) / WARP)
-        of_block = min(self._kernel.most_warps, math.ceil(num_warps / self._num_processors))
-        first = {"grid_x": math.ceil(num_warps / of_block), "block_x": of_block * WARP}
+        if kernel.num_envs:
+            num_blocks = math.ceil(num_envs / kernel.num_envs)
+            at_once = math.ceil(num_blocks / self._num_processors)
+            at_once = min(at_once, MOST_SHARED // kernel.shared_bytes, TEAM_WARPS)
+            first = {"grid_x": num_blocks, "block_x": TEAM_WARPS // at_once * WARP}
+        else:
+            num_warps = math.ceil(num_envs * threads_of(kernel.num_lanes) / WARP)
+            of_block = min(kernel.most_warps, math.ceil(num_warps / self._num_processors))
+            first = {"grid_x": math.ceil(num_warps / of_block), "block_x": of_block * WARP}
         others = dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
         return {name: np.int32(size) for name, size in (first | others).items()}
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from mujoco_compiled.code.arrays import array_sizes
 from mujoco_compiled.code.long_writer import FunctionFrame, write_code
-from mujoco_compiled.code.memory import memory_lines, tables
+from mujoco_compiled.code.memory import memory_lines, small_table, small_tables, tables
 from mujoco_compiled.code.steps import num_operations
-from mujoco_compiled.code.writer import Barrier, Target, Writer
+from mujoco_compiled.code.writer import Barrier, Target, Team, Writer, routine_name, routines, seen
 from mujoco_compiled.program.program import Program
 
 TRIPLE = "nvptx64-nvidia-cuda"
@@ -20,7 +20,9 @@ _ALONE = Target(
     1,
     allowed="afn arcp",
     own="ptr addrspace(5)",
-    shared="ptr addrspace(1)",
+    tables="ptr addrspace(1)",
+    shared="ptr addrspace(5)",
+    common="ptr addrspace(5)",
 )
 # From about this many operations on, a card waits most of the time for instructions, which its cache cannot
 # hold. Warps that stay together fetch them once: on an H200 the brittle star's kernel is 1.8 times as fast,
@@ -34,6 +36,11 @@ _TOGETHER = replace(
         any="call i1 @llvm.nvvm.barrier.cta.red.or.aligned.all",
     ),
 )
+# Warps of a processor that has registers for no more: of the blocks that compute routines together.
+TEAM_WARPS = 8
+_WAIT = "call void @llvm.nvvm.barrier.cta.sync.all(i32 0)"
+# What the threads of a block can share, in bytes.
+MOST_SHARED = 227 * 1024 - 64
 _GLOBAL = "ptr addrspace(1)"
 _LOCAL = "ptr addrspace(5)"
 _READ = "i32 @llvm.nvvm.read.ptx.sreg"
@@ -119,14 +126,42 @@ def threads_of(num_lanes: int) -> int:
     return 1 << (num_lanes - 1).bit_length()
 
 
+@dataclass(frozen=True)
+class Block:
+    """Threads of a card's processor that compute routines together. num_envs: each has one of these threads.
+    near: how many numbers of `common` an environment has in what they share."""
+
+    num_envs: int
+    near: int
+    shared_bytes: int
+
+
+def block_of(program: Program, section_size: int | None, load: int) -> Block | None:
+    """None: each thread goes alone. load: how many environments a processor of the card has to move."""
+    memory = program.memory
+    if section_size is not None or not program.routines:
+        return None
+    sizes = [size for size in (8, 16, WARP) if 4 * size * memory.num_shared <= MOST_SHARED]
+    if not sizes:
+        return None
+    num_envs = min((size for size in sizes if size >= load), default=sizes[-1])
+    # A second block would have no room besides.
+    room = MOST_SHARED // (4 * num_envs) - memory.num_shared if load <= num_envs else 0
+    near = max((end for end in (*memory.commons, memory.num_common) if end <= room), default=0)
+    return Block(num_envs, near, 4 * num_envs * (memory.num_shared + near))
+
+
 def most_warps(program: Program, section_size: int | None) -> int:
-    """The most warps of a block: several if they stay together. Threads with lists of their own do not."""
+    """The most warps of a block that stay together. Threads with lists of their own do not."""
     stay_together = section_size is None and not program.memory.lists
     return 8 if stay_together and num_operations(program.statements) > _LARGE else 1
 
 
-def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> str:
+def gpu_kernel(program: Program, name: str, section_size: int | None = None, load: int = WARP) -> str:
     """A module with the kernel `name(count, inputs..., outputs...)`, in the program's order.
+
+    With a team, the first threads of a block have an environment each, and the others wait for routines; the
+    last array is room for the blocks' `common`. load: see `block_of`.
 
     count: a pointer to the number of environments, int32. An input or output is a pointer to float32
     [environments, size]. Blocks have up to `most_warps` warps, of whose threads each environment takes
@@ -134,12 +169,16 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
     """
     sizes, lanes, threads = array_sizes(program), program.num_lanes, threads_of(program.num_lanes)
     rows = _GpuRows(sizes, lanes, threads)
-    arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in ("count", *sizes))
-    environment = _environment(lanes, threads)
-    pointers = ", ".join(f"{_LOCAL} %{name}" for name in ("slots", "numbers", "counts"))
+    block = block_of(program, section_size, load)
+    names = ("count", *sizes, *(["room"] if block else []))
+    arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in names)
+    environment = _environment(lanes, threads, block.num_envs if block else None)
+    pointers = ", ".join(f"{_LOCAL} %{name}" for name in ("slots", "numbers", "counts", "shared", "common"))
     frame = FunctionFrame(f"{pointers}, {arrays}", environment, slots=_LOCAL)
-    warps = most_warps(program, section_size)
-    writer = Writer(_TOGETHER if warps > 1 else _ALONE, rows, block="body")
+    warps = TEAM_WARPS if block else most_warps(program, section_size)
+    target = _in_team(program, block) if block else _TOGETHER if warps > 1 else _ALONE
+    small = small_tables(program) if block else None
+    writer = Writer(target, rows, block="main" if block else "body", routines=list(program.routines))
     code = write_code(program, writer, frame, section_size)
     # A thread gets all registers that there are: fewer would let more warps run at once, and spill.
     attributes = f'"nvvm.maxntid"="{warps * WARP}" "nvvm.minctasm"="1"'
@@ -151,15 +190,22 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
             *(f"declare {_READ}.{register}()" for register in ("tid.x", "ctaid.x", "ntid.x")),
             "declare void @llvm.nvvm.barrier.cta.sync.aligned.all(i32)",
             "declare i1 @llvm.nvvm.barrier.cta.red.or.aligned.all(i32, i1)",
+            "declare void @llvm.nvvm.barrier.cta.sync.all(i32)",
+            "declare i1 @llvm.nvvm.vote.any.sync(i32, i1)",
             f"declare float @{_SHUFFLE}(i32, float, i32, i32)",
+            *(_TEAM if block else []),
             *tables(program.memory, _ALONE),
+            *([small_table(small)] if small else []),
+            *routines(program, replace(target, small=small), rows),
             *chain.from_iterable(code.functions),
             f"define ptx_kernel void @{name}({arrays}) {attributes} {{",
             "body:",
             *(_slots(code.num_slots) if code.functions else []),
-            *memory_lines(program.memory, _ALONE),
+            *memory_lines(program.memory, target),
             *environment,
+            *(_serving(program, block, target) if block else []),
             *code.lines,
+            *(["  call void @begin(i32 -1)"] if block else []),
             "  ret void",
             "}",
             "!0 = !{}",
@@ -175,14 +221,72 @@ def _slots(number: int) -> list[str]:
     ]
 
 
-def _environment(lanes: int, threads: int) -> list[str]:
-    """Which environment the thread moves, and with which other threads."""
+_TEAM = (
+    "@room = external addrspace(3) global [0 x float], align 16",
+    "@routine = internal addrspace(3) global i32 undef",
+    "define internal void @begin(i32 %number) {",
+    "  store i32 %number, ptr addrspace(3) @routine",
+    f"  {_WAIT}",
+    "  ret void",
+    "}",
+)
+
+
+def _in_team(program: Program, block: Block) -> Target:
+    calling = np.uint32(2**block.num_envs - 1).astype(np.int32)
+    any_runs = f"call i1 @llvm.nvvm.vote.any.sync(i32 {calling}, i1"
+    return replace(
+        _ALONE,
+        shared="ptr addrspace(3)",
+        common=_GLOBAL,
+        stride=block.num_envs,
+        team=Team(wait=_WAIT, begin="call void @begin(i32", any=any_runs),
+        near=block.near,
+        after=program.memory.num_shared,
+    )
+
+
+def _serving(program: Program, block: Block, target: Target) -> list[str]:
+    """Threads that have no environment compute routines until there are no more."""
+    numbers = range(len(program.routines))
+    lines = [
+        "  %shared = getelementptr float, ptr addrspace(3) @room, i32 %in_block",
+        f"  %begin = mul i32 %block, {block.num_envs * program.memory.num_common}",
+        "  %place = add i32 %begin, %in_block",
+        f"  %common = getelementptr float, {_GLOBAL} %room, i32 %place",
+        # The first warp has part 0. Its threads without an environment leave: a warp waits in one place.
+        f"  %of_others = sub i32 %thread, {WARP - block.num_envs}",
+        f"  %own_part = udiv i32 %of_others, {block.num_envs}",
+        "  %part = zext i32 %own_part to i64",
+        f"  %threads_of_parts = sub i32 %num_threads, {WARP - block.num_envs}",
+        f"  %all_parts = udiv i32 %threads_of_parts, {block.num_envs}",
+        "  %num_parts = zext i32 %all_parts to i64",
+        f"  %has_environment = icmp ult i32 %thread, {block.num_envs}",
+        "  br i1 %has_environment, label %main, label %others",
+        "others:",
+        f"  %serves = icmp uge i32 %thread, {WARP}",
+        "  br i1 %serves, label %serve, label %served",
+        "serve:",
+        f"  {_WAIT}",
+        "  %which = load i32, ptr addrspace(3) @routine",
+        f"  switch i32 %which, label %served [ {' '.join(f'i32 {k}, label %serve{k}' for k in numbers)} ]",
+    ]
+    for number, name in enumerate(program.routines):
+        call = f"  call void {routine_name(name)}({seen(target)}, i64 %part, i64 %num_parts)"
+        lines += [f"serve{number}:", call, "  br label %serve"]
+    return [*lines, "served:", "  ret void", "main:"]
+
+
+def _environment(lanes: int, threads: int, num_envs: int | None) -> list[str]:
+    """Which environment the thread moves, and with which other threads. num_envs: of a block; None: any."""
+    of_block = num_envs or "%num_threads"
     return [
         f"  %thread = call {_READ}.tid.x()",
         f"  %block = call {_READ}.ctaid.x()",
         f"  %num_threads = call {_READ}.ntid.x()",
-        "  %before = mul i32 %block, %num_threads",
-        "  %thread_of_all = add i32 %before, %thread",
+        f"  %before = mul i32 %block, {of_block}",
+        f"  %in_block = urem i32 %thread, {of_block}",
+        "  %thread_of_all = add i32 %before, %in_block",
         f"  %number = udiv i32 %thread_of_all, {threads}",
         f"  %lane_number = urem i32 %thread, {threads}",
         "  %lane = zext i32 %lane_number to i64",

@@ -15,6 +15,7 @@ from mujoco_compiled.program.flow import needed
 from mujoco_compiled.program.program import (
     Assign,
     Branch,
+    Call,
     Each,
     Loop,
     Program,
@@ -98,7 +99,7 @@ def slotted(program: Program, section_size: int) -> SlottedProgram:
 def _all_results(statements: Sequence[Statement]) -> Iterator[list[int]]:
     for one in statements:
         yield results(one)
-        if not isinstance(one, Assign | Read | Store):
+        if not isinstance(one, Assign | Read | Store | Call):
             yield from _all_results(one.body)
 
 

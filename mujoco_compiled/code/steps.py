@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from mujoco_compiled.program.program import (
     Assign,
     Branch,
+    Call,
     Each,
     Loop,
     Program,
@@ -55,20 +56,17 @@ def results(step: Step) -> list[int]:
             return [variable for variable, _, _ in step.carried]
         case Branch():
             return [variable for variable, _, _ in step.results]
-        case Write() | Store() | Together():
+        case Write() | Store() | Together() | Call():
             return []
 
 
 def uses(step: Step) -> Sequence[int]:
     """The variables that must be known before it."""
     match step:
-        case Assign() | Read():
+        case Assign() | Read() | Store() | Call():
             return step.uses
         case Write():
             return [step.variable]
-        case Store():
-            value = [step.value] if isinstance(step.value, int) else step.value.variables
-            return [*step.place.variables, *value]
         case Together():
             return [step.condition, *_free(step.body, [], known=[])]
         case Each():

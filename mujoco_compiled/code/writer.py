@@ -15,11 +15,14 @@ from mujoco_compiled.program.program import (
     Assign,
     Bound,
     Branch,
+    Call,
     Each,
     Loop,
     Operation,
     Place,
+    Program,
     Read,
+    Space,
     Store,
     Together,
 )
@@ -47,19 +50,50 @@ class Barrier:
 
 
 @dataclass(frozen=True)
+class Team:
+    """How several threads compute a routine, in LLVM's words.
+
+    wait: the call in which all meet. begin: tells the others which routine comes, by a number. any: of a
+    truth value, whether it is true in one of the threads that call routines.
+    """
+
+    wait: str
+    begin: str
+    any: str
+
+
+@dataclass(frozen=True)
+class SmallTables:
+    """Integers that a card reads for all its threads at once. places: where those of `integers` are."""
+
+    places: Mapping[int, int]
+    values: Sequence[int]
+
+
+@dataclass(frozen=True)
 class Target:
     """How a kind of processor takes numbers.
 
     width: environments in a vector; 1: no vector. allowed: what a division and a square root may do besides
-    rounding correctly, in LLVM's words. barrier: None: a thread does not wait for others. own, shared: kinds
-    of pointers to what environments that are computed together have, and to the model's tables.
+    rounding correctly, in LLVM's words. barrier: None: a thread does not wait for others. own: the kind
+    of pointers to what environments that are computed together have; tables: to the model's. shared, common:
+    to these spaces, in which an environment's numbers are `stride` apart. team: None: the thread that calls a
+    routine computes it. small: tables that lie nearer than `integers`.
+    near, after: the first numbers of `common` are in `shared`, after so many.
     """
 
     width: int
     allowed: str
     barrier: Barrier | None = None
     own: str = "ptr"
+    tables: str = "ptr"
     shared: str = "ptr"
+    common: str = "ptr"
+    stride: int = 1
+    team: Team | None = None
+    small: SmallTables | None = None
+    near: int = 0
+    after: int = 0
 
     @property
     def number(self) -> str:
@@ -112,11 +146,13 @@ class Memory(Protocol):
 
 @dataclass
 class Writer:
-    """The body of a function. block: the label of the block that is being written."""
+    """The body of a function. block: the label of the block that is being written. routines: of the program,
+    by their numbers."""
 
     target: Target
     memory: Memory
     block: str
+    routines: Sequence[str] = ()
     lines: list[str] = field(default_factory=list[str])
     _num_names: int = 0
     _num_since_barrier: int = 0
@@ -147,23 +183,28 @@ class Writer:
     def write(self, steps: Sequence[Step]) -> None:
         for step in steps:
             self._meet_before(step)
-            match step:
-                case Loop():
-                    self._loop(step)
-                case Branch():
-                    self._branch(step)
-                case Write():
-                    self.memory.store(self, step.output, step.places, self.operand(step.variable))
-                case Assign():
-                    self._assign(step)
-                case Read():
-                    self._read(step)
-                case Store():
-                    self._store(step)
-                case Each():
-                    self._each(step)
-                case Together():
-                    self._together(step)
+            self._step(step)
+
+    def _step(self, step: Step) -> None:
+        match step:
+            case Loop():
+                self._loop(step)
+            case Branch():
+                self._branch(step)
+            case Write():
+                self.memory.store(self, step.output, step.places, self.operand(step.variable))
+            case Assign():
+                self._assign(step)
+            case Read():
+                self._read(step)
+            case Store():
+                self._store(step)
+            case Each():
+                self._each(step)
+            case Together():
+                self._together(step)
+            case Call():
+                self._call(step)
 
     def _meet_before(self, step: Step) -> None:
         if self.target.barrier is None:
@@ -300,7 +341,9 @@ class Writer:
         self.line(f"br label %{head}")
         self.lines.append(f"{head}:")
         place = len(self.lines)  # of the phis, which need the last block of the body
-        any_runs = self._any_runs(running)
+        # All threads of a team call a routine together: those that are done wait for the others.
+        team = self.target.team if _calls(loop.body) else None
+        any_runs = self.value(f"{team.any} {running})") if team else self._any_runs(running)
         is_left = self.value(f"icmp slt i32 {count}, {loop.most}")
         goes_on = self.value(f"and i1 {any_runs}, {is_left}")
         self.line(f"br i1 {goes_on}, label %{inside}, label %{after}")
@@ -310,7 +353,7 @@ class Writer:
         kept = dict[int, str]()
         for variable, _, value in loop.carried:
             kept[variable] = self.operand(value)
-            if loop.improves is not None and self._goes_on_for_others:
+            if loop.improves is not None and (self._goes_on_for_others or team):
                 kept[variable] = self.name()
                 self.select(kept[variable], running, self.operand(value), f"%v{variable}")
         true = self.target.splat("i1", "true")
@@ -358,39 +401,42 @@ class Writer:
         self.block, self._angles = after, known
 
     def _read(self, read: Read) -> None:
-        target, name, shared = self.target, f"%v{read.target}", self.target.shared
-        place = self._place(read.place)
+        target, name, tables = self.target, f"%v{read.target}", self.target.tables
         match read.space:
-            case "numbers":
-                pointer = self._pointer(target.number, target.own, "%numbers", place)
-                kind = f"{target.number}, {target.own}"
-                self.line(f"{name} = load {kind} {pointer}, align {4 * target.width}")
+            case "numbers" | "shared" | "common":
+                kind, pointer = self._own(read.space, read.place)
+                self.line(f"{name} = load {target.number}, {kind} {pointer}, align {4 * target.width}")
             case "constants" if read.index is not None:
-                self._look_up(name, place, self.operand(read.index))
+                self._look_up(name, self._place(read.place), self.operand(read.index))
             case "constants":
-                pointer = self._pointer("float", shared, "@table_constants", place)
-                load = f"load float, {shared} {pointer}, align 4, !invariant.load !0"
+                pointer = self._pointer("float", tables, "@table_constants", self._place(read.place))
+                load = f"load float, {tables} {pointer}, align 4, !invariant.load !0"
                 self._spread(name, self.value(load))
             case "counts":
-                pointer = self._pointer("i32", target.own, "%counts", place)
+                pointer = self._pointer("i32", target.own, "%counts", self._place(read.place))
                 number = self._bounded(self.value(f"load i32, {target.own} {pointer}, align 4"), read.bound)
                 if not read.is_number:
                     self.line(f"{name} = zext i32 {number} to i64")
                 else:
                     self._spread(name, self.value(f"uitofp i32 {number} to float"))
+            case "integers" if target.small:
+                near = Place(target.small.places[read.place.offset], read.place.terms)
+                pointer = self._pointer("i16", "ptr addrspace(4)", "@small_integers", self._place(near))
+                number = self.value(f"load i16, ptr addrspace(4) {pointer}, align 2, !invariant.load !0")
+                self.line(f"{name} = zext i16 {number} to i64")
             case "integers":
-                pointer = self._pointer("i32", shared, "@table_integers", place)
-                number = self.value(f"load i32, {shared} {pointer}, align 4, !invariant.load !0")
+                pointer = self._pointer("i32", tables, "@table_integers", self._place(read.place))
+                number = self.value(f"load i32, {tables} {pointer}, align 4, !invariant.load !0")
                 self.line(f"{name} = sext i32 {number} to i64")
 
     def _look_up(self, name: str, place: str, index: str) -> None:
         """Each environment's constant: that at a place, or as much later as the index's whole part is."""
-        target, shared, width = self.target, self.target.shared, self.target.width
+        target, tables, width = self.target, self.target.tables, self.target.width
         whole = self.value(f"fptosi {target.number} {index} to {target.integer}")
-        begin = self._pointer("float", shared, "@table_constants", place)
-        pointer = self.value(f"getelementptr inbounds float, {shared} {begin}, {target.integer} {whole}")
+        begin = self._pointer("float", tables, "@table_constants", place)
+        pointer = self.value(f"getelementptr inbounds float, {tables} {begin}, {target.integer} {whole}")
         if width == 1:
-            self.line(f"{name} = load float, {shared} {pointer}, align 4, !invariant.load !0")
+            self.line(f"{name} = load float, {tables} {pointer}, align 4, !invariant.load !0")
             return
         every = f"{target.truth} {target.splat('i1', 'true')}, {target.number} zeroinitializer"
         self.line(
@@ -417,15 +463,26 @@ class Writer:
         return self.value(f"select i1 {is_beyond}, i32 {chosen[0]}, i32 {chosen[1]}")
 
     def _store(self, store: Store) -> None:
-        target, place = self.target, self._place(store.place)
+        target = self.target
         if isinstance(store.value, int):
-            pointer = self._pointer(target.number, target.own, "%numbers", place)
+            kind, pointer = self._own(store.space, store.place)
             value = f"{target.number} {self.operand(store.value)}"
-            self.line(f"store {value}, {target.own} {pointer}, align {4 * target.width}")
+            self.line(f"store {value}, {kind} {pointer}, align {4 * target.width}")
         else:
-            pointer = self._pointer("i32", target.own, "%counts", place)
+            pointer = self._pointer("i32", target.own, "%counts", self._place(store.place))
             number = self.value(f"trunc i64 {self._place(store.value)} to i32")
             self.line(f"store i32 {number}, {target.own} {pointer}, align 4")
+
+    def _own(self, space: Space, place: Place) -> tuple[str, str]:
+        """The kind of pointer to an environment's own numbers, and the one to a place among them."""
+        target = self.target
+        if space == "numbers":
+            return target.own, self._pointer(target.number, target.own, "%numbers", self._place(place))
+        if space == "common" and place.offset < target.near:
+            space, place = "shared", place + target.after
+        kind = target.shared if space == "shared" else target.common
+        row = target.number if target.stride == 1 else f"[{target.stride} x {target.number}]"
+        return kind, self._pointer(row, kind, f"%{space}", self._place(place))
 
     def _pointer(self, element: str, kind: str, begin: str, place: str) -> str:
         return self.value(f"getelementptr inbounds {element}, {kind} {begin}, i64 {place}")
@@ -443,6 +500,8 @@ class Writer:
     def _each(self, each: Each) -> None:
         head, inside, after = (self.name()[1:] for _ in range(3))
         counter, next_count = f"%v{each.counter}", self.name()
+        team = self.target.team if each.is_parted else None
+        first, stride = ("%part", "%num_parts") if team else ("0", "1")
         begun, known, count = self.block, dict(self._angles), self._place(each.count)
         self._num_alone += 1
         self.line(f"br label %{head}")
@@ -453,11 +512,11 @@ class Writer:
         self.lines.append(f"{inside}:")
         self.block = inside
         self.write(each.body)
-        self.line(f"{next_count} = add nsw i64 {counter}, 1")
+        self.line(f"{next_count} = add nsw i64 {counter}, {stride}")
         self.line(f"br label %{head}")
         last = self.block
         self.lines[place:place] = [
-            f"  {counter} = phi i64 [ 0, %{begun} ], [ {next_count}, %{last} ]",
+            f"  {counter} = phi i64 [ {first}, %{begun} ], [ {next_count}, %{last} ]",
             *(
                 f"  %v{variable} = phi {self.target.number} "
                 f"[ {self.operand(first)}, %{begun} ], [ {self.operand(value)}, %{last} ]"
@@ -467,6 +526,17 @@ class Writer:
         self.lines.append(f"{after}:")
         self.block, self._angles = after, known
         self._num_alone -= 1
+        if team and each.meets:
+            self.line(team.wait)
+
+    def _call(self, call: Call) -> None:
+        """The other threads of a team wait for the routine's number."""
+        team, name = self.target.team, routine_name(call.routine)
+        if team is None:
+            self.line(f"call void {name}({seen(self.target)})")
+            return
+        self.line(f"{team.begin} {self.routines.index(call.routine)})")
+        self.line(f"call void {name}({seen(self.target)}, i64 0, i64 %num_parts)")
 
     def _together(self, together: Together) -> None:
         inside, after = self.name()[1:], self.name()[1:]
@@ -497,3 +567,35 @@ class Writer:
             return truth
         reduce = f"@llvm.vector.reduce.or.v{self.target.width}i1"
         return self.value(f"call i1 {reduce}({self.target.truth} {truth})")
+
+
+def routines(program: Program, target: Target, memory: Memory) -> list[str]:
+    """The routines as functions of what they see, and with a team of which thread this is and of how many."""
+    parameters = seen(target) + (", i64 %part, i64 %num_parts" if target.team else "")
+    lines = list[str]()
+    for name, body in program.routines.items():
+        writer = Writer(target, memory, block="body")
+        writer.write(body)
+        if target.team:
+            writer.line(target.team.wait)
+        head = f"define internal void {routine_name(name)}({parameters}) noinline nounwind {{"
+        lines += [head, "body:", *writer.lines, "  ret void", "}"]
+    return lines
+
+
+def seen(target: Target) -> str:
+    """Pointers to the spaces that routines see."""
+    return f"{target.shared} %shared, {target.common} %common"
+
+
+def routine_name(routine: str) -> str:
+    """The function's."""
+    return f'@"routine: {routine}"'
+
+
+def _calls(body: Sequence[Step]) -> bool:
+    """Whether a routine is called in it."""
+    return any(
+        isinstance(one, Call) or (isinstance(one, Loop | Branch | Each | Together) and _calls(one.body))
+        for one in body
+    )

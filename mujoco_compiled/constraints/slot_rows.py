@@ -22,7 +22,7 @@ from mujoco_compiled.program.arithmetic import (
     subtract,
     total,
 )
-from mujoco_compiled.program.memory import Column, array
+from mujoco_compiled.program.memory import Column
 from mujoco_compiled.smooth.matrix_loops import MatrixLoops
 from mujoco_compiled.smooth.tree_loops import TreeLoops
 
@@ -34,9 +34,9 @@ class SlotRows:
 
     def __init__(self, loops: TreeLoops, matrix: MatrixLoops, tables: ContactTables) -> None:
         self._loops, self.matrix, self._kinds = loops, matrix, tables.kinds
-        program, size = loops.program, len(loops.tree.dofs)
-        self._wrenches = array(program, "wrenches", size + 1, 6)
-        self._bends = array(program, "bends", size + 1, 21)
+        size = len(loops.tree.dofs)
+        self._wrenches = loops.room("wrenches", size + 1, 6)
+        self._bends = loops.bends
         self._ties = Ties(loops, matrix, [kind for kind in self._kinds if kind.is_double])
 
     def cost(self, acceleration: Vector) -> Number:

@@ -10,6 +10,7 @@ from mujoco_compiled.program.arithmetic import Number, Vector, select
 from mujoco_compiled.program.program import (
     Assign,
     Branch,
+    Call,
     Each,
     Loop,
     Program,
@@ -68,23 +69,20 @@ def needed(program: Program) -> Program:
     """The program (changed): what its outputs need."""
     wanted = {output.variable for outputs in program.outputs.values() for output in outputs}
     program.statements = _kept(program.statements, wanted)
+    program.routines = {name: tuple(_kept(body, set())) for name, body in program.routines.items()}
     return program
 
 
 def _kept(statements: Sequence[Statement], wanted: set[int]) -> list[Statement]:
-    """The statements that compute what is wanted, and all that store. wanted: grows by what they need."""
+    """The statements that compute what is wanted, and all that store or call. wanted: grows by what they
+    need."""
     found = list[Statement]()
     for one in reversed(statements):
         if not _is_needed(one, wanted):
             continue
         match one:
-            case Assign():
+            case Assign() | Read() | Store() | Call():
                 wanted.update(one.uses)
-            case Read():
-                wanted.update(one.uses)
-            case Store():
-                wanted.update(one.place.variables)
-                wanted.update([one.value] if isinstance(one.value, int) else one.value.variables)
             case Together():
                 one = replace(one, body=tuple(_kept(one.body, wanted)))
                 wanted.add(one.condition)
@@ -110,7 +108,7 @@ def _is_needed(one: Statement, wanted: set[int]) -> bool:
             return any(variable in wanted for variable, _, _ in one.results)
         case Loop():
             return any(variable in wanted for variable, _, _ in one.carried)
-        case Store() | Each() | Together():
+        case Store() | Each() | Together() | Call():
             return True
 
 

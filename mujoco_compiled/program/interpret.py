@@ -12,13 +12,14 @@ from mujoco_compiled.program.program import (
     Assign,
     Bound,
     Branch,
+    Call,
     Each,
     Loop,
-    Memory,
     Operation,
     Place,
     Program,
     Read,
+    Space,
     Statement,
     Store,
     Together,
@@ -55,7 +56,7 @@ def interpret(
     Where the lanes of a folded program differ, a number is an array [lanes, environments] inside.
     """
     dtype = next(iter(inputs.values()))[0].dtype
-    values = _Interpreter(inputs, dtype, program.memory).run(program.statements)
+    values = _Interpreter(inputs, dtype, program).run(program.statements)
     found = dict[str, list[NDArray[np.floating]]]()
     for name, outputs in program.outputs.items():
         by_place = dict[int, NDArray[np.floating]]()
@@ -69,14 +70,17 @@ def interpret(
 
 @dataclass
 class _Interpreter:
-    """memory: of the program. numbers, counts: what lies in these spaces, by place. integers: by variable."""
+    """numbers: what lies in `numbers` and `shared`, by space and place. counts: by place. integers: by
+    variable."""
 
     inputs: Mapping[str, Sequence[NDArray[np.floating]]]
     dtype: np.dtype[np.floating]
-    memory: Memory
+    program: Program
     values: Values = field(default_factory=Values)
     integers: dict[int, int] = field(default_factory=dict[int, int])
-    numbers: dict[int, NDArray[Any]] = field(default_factory=dict[int, NDArray[Any]])
+    numbers: dict[tuple[Space, int], NDArray[Any]] = field(
+        default_factory=dict[tuple[Space, int], NDArray[Any]]
+    )
     counts: dict[int, int] = field(default_factory=dict[int, int])
 
     def run(self, statements: Sequence[Statement]) -> Values:
@@ -107,6 +111,8 @@ class _Interpreter:
             case Together():
                 if np.any(self.values[statement.condition]):
                     self.run(statement.body)
+            case Call():
+                self.run(self.program.routines[statement.routine])
             case Assign():
                 raise AssertionError(statement)
 
@@ -168,8 +174,8 @@ class _Interpreter:
     def _read(self, read: Read) -> None:
         place = self._integer(read.place)
         match read.space:
-            case "numbers":
-                self.values[read.target] = self.numbers[place]
+            case "numbers" | "shared" | "common":
+                self.values[read.target] = self.numbers[read.space, place]
             case "constants":
                 self.values[read.target] = self._constant(place, read.index)
             case "counts":
@@ -179,21 +185,21 @@ class _Interpreter:
                 else:
                     self.integers[read.target] = number
             case "integers":
-                self.integers[read.target] = self.memory.integers[place]
+                self.integers[read.target] = self.program.memory.integers[place]
 
     def _constant(self, place: int, index: int | None) -> NDArray[Any]:
         if index is None:
-            return np.asarray(self.memory.constants[place], self.dtype)
+            return np.asarray(self.program.memory.constants[place], self.dtype)
         return self._constants[place + self.values[index].astype(int)]
 
     @cached_property
     def _constants(self) -> NDArray[Any]:
-        return np.asarray(self.memory.constants, self.dtype)
+        return np.asarray(self.program.memory.constants, self.dtype)
 
     def _store(self, store: Store) -> None:
         place = self._integer(store.place)
         if isinstance(store.value, int):
-            self.numbers[place] = self.values[store.value]
+            self.numbers[store.space, place] = self.values[store.value]
         else:
             self.counts[place] = self._integer(store.value)
 

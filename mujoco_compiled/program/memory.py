@@ -7,7 +7,8 @@ nothing, as a contact without stiffness does.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,19 +26,28 @@ class Array:
     program: Program
     first: int
     width: int
+    space: Literal["numbers", "shared", "common"] = "numbers"
 
     def read(self, row: Index, places: Sequence[int]) -> Vector:
         """The numbers at these places of a row."""
-        return [_number(self.program, "numbers", self._at(row) + place) for place in places]
+        return [_number(self.program, self.space, self._at(row) + place) for place in places]
+
+    def __len__(self) -> int:
+        """How many numbers a row has."""
+        return self.width
 
     def row(self, row: Index) -> Vector:
-        return self.read(row, range(self.width))
+        return self.read(row, range(len(self)))
+
+    def part(self, first: Place, width: int) -> "Array":
+        """Of each row, the numbers from place `first` on, as a row of its own; not to be read beyond it."""
+        return _Part(self.program, self.first, self.width, self.space, first, width)
 
     def store(self, row: Index, values: Sequence[Number], first: int = 0) -> None:
         """Puts the values to a row, from place `first` on."""
         for place, value in enumerate(values, first):
             variable = self.program.variable(value)
-            self.program.statements.append(Store("numbers", self._at(row) + place, variable))
+            self.program.statements.append(Store(self.space, self._at(row) + place, variable))
 
     def add(self, row: Index, values: Sequence[Number], first: int = 0) -> None:
         """Adds the values to those of a row."""
@@ -45,8 +55,26 @@ class Array:
         before = self.read(row, places)
         self.store(row, [x + y for x, y in zip(before, values, strict=True)], first)
 
+    def flat(self) -> "Array":
+        """The same numbers, one to a row."""
+        return replace(self, width=1)
+
     def _at(self, row: Index) -> Place:
         return _placed(row) * self.width + self.first
+
+
+@dataclass(frozen=True)
+class _Part(Array):
+    """begin: of a row's part, which the running program chooses."""
+
+    begin: Place = field(default_factory=Place)
+    own_width: int = 0
+
+    def __len__(self) -> int:
+        return self.own_width
+
+    def _at(self, row: Index) -> Place:
+        return super()._at(row) + self.begin
 
 
 @dataclass(frozen=True)
@@ -158,6 +186,25 @@ def array(program: Program, name: str, rows: int, width: int = 1) -> Array:
     return Array(program, memory.arrays[name], width)
 
 
+def shared_array(program: Program, name: str, rows: int, width: int = 1) -> Array:
+    """An array that routines see, too, and reach soonest; the first call of this name makes it."""
+    memory = program.memory
+    if name not in memory.arrays:
+        memory.arrays[name] = memory.num_shared
+        memory.num_shared += rows * width
+    return Array(program, memory.arrays[name], width, "shared")
+
+
+def common_array(program: Program, name: str, rows: int, width: int = 1) -> Array:
+    """An array that routines see, too; the first call of this name makes it."""
+    memory = program.memory
+    if name not in memory.arrays:
+        memory.arrays[name] = memory.num_common
+        memory.commons.append(memory.num_common)
+        memory.num_common += rows * width
+    return Array(program, memory.arrays[name], width, "common")
+
+
 def rows(program: Program, name: str, most: int) -> Rows:
     """The list of this name; the first call makes it."""
     memory = program.memory
@@ -201,6 +248,7 @@ def integers(program: Program, name: str, values: Sequence[int]) -> Integers:
     memory = program.memory
     if name not in memory.arrays:
         memory.arrays[name] = len(memory.integers)
+        memory.tables.append(len(memory.integers))
         memory.integers += values
     return Integers(program, values, memory.arrays[name])
 
@@ -210,16 +258,59 @@ def for_each(
     count: Index,
     body: Callable[[Place, Vector], Vector],
     carried: Sequence[Number] = (),
+    *,
+    is_parted: bool = False,
+    meets: bool = True,
 ) -> Vector:
-    """The carried numbers after `body` for each integer from 0 to `count` - 1. The body may store."""
+    """The carried numbers after `body` for each integer from 0 to `count` - 1. The body may store.
+
+    is_parted, meets: in a routine; see `Each`. Nothing is carried then.
+    """
     counter = program.new_variable()
     inside = [Symbol(program, program.new_variable()) for _ in carried]
     with program.block() as statements:
         afters = [program.variable(value) for value in body(Place(0, ((counter, 1),)), list(inside))]
     befores = [program.variable(value) for value in carried]
     entries = tuple(zip((one.number for one in inside), befores, afters, strict=True))
-    program.statements.append(Each(_placed(count), counter, entries, tuple(statements)))
+    program.statements.append(
+        Each(_placed(count), counter, entries, tuple(statements), is_parted, is_parted and meets)
+    )
     return list(inside)
+
+
+class Table:
+    """Rows of integers, in groups. groups: their rows, all of one length."""
+
+    def __init__(self, program: Program, name: str, groups: Sequence[Sequence[tuple[int, ...]]]) -> None:
+        rows = [row for own in groups for row in own]
+        self._program, self._width = program, len(rows[0])
+        self._numbers = integers(program, name, [number for row in rows for number in row])
+        self._lengths = integers(program, f"{name}: lengths", list(map(len, groups)))
+        begins = [sum(map(len, groups[:number])) for number in range(len(groups))]
+        self._begins = integers(program, f"{name}: begins", begins)
+
+    def at(self, row: Place) -> list[Place]:
+        return [self._numbers.at(row * self._width + place) for place in range(self._width)]
+
+    def for_each(
+        self,
+        group: Index,
+        body: Callable[[Place, Vector], Vector],
+        carried: Sequence[Number] = (),
+        *,
+        is_parted: bool = False,
+        meets: bool = True,
+    ) -> Vector:
+        """`for_each`, over the rows of a group."""
+        begin, count = self._begins.at(group), self._lengths.at(group)
+        return for_each(
+            self._program,
+            count,
+            lambda number, now: body(begin + number, now),
+            carried,
+            is_parted=is_parted,
+            meets=meets,
+        )
 
 
 def where_any(condition: Symbol, body: Callable[[], object]) -> None:

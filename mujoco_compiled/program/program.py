@@ -66,9 +66,10 @@ class Branch:
     results: tuple[tuple[int, int, int], ...]
 
 
-# Where numbers lie: `numbers` and `counts` can be written, the others are the model's. An environment has its
-# own `numbers`; an integer of `counts` is one for all environments that are computed together.
-Space = Literal["numbers", "counts", "constants", "integers"]
+# Where numbers lie: `constants` and `integers` are the model's, the others can be written. An environment has
+# its own `numbers`, and its own `shared` and `common`, which routines see: the first is small and nearer. An
+# integer of `counts` is one for all environments that are computed together.
+Space = Literal["numbers", "shared", "common", "counts", "constants", "integers"]
 # What a read makes of an integer of `counts`: the lesser of it and a bound, or 0 unless it is beyond that.
 Bound = tuple[Literal["most", "beyond"], int]
 
@@ -120,24 +121,34 @@ class Read:
 
 @dataclass(frozen=True)
 class Store:
-    """Puts a variable, or an integer, to a place in `numbers` or in `counts`."""
+    """Puts a variable to a place in `numbers`, `shared` or `common`, or an integer to one in `counts`."""
 
     space: Space
     place: Place
     value: "int | Place"
+
+    @property
+    def uses(self) -> list[int]:
+        """The variables that it needs."""
+        value = [self.value] if isinstance(self.value, int) else self.value.variables
+        return [*self.place.variables, *value]
 
 
 @dataclass(frozen=True)
 class Each:
     """Computes `body` for each value of the integer variable `counter` from 0 to `count` - 1.
 
-    carried: see Loop. All environments that are computed together go through it as often.
+    carried: see Loop. All environments that are computed together go through it as often. is_parted: no
+    repetition needs what another one does, so that the threads of a routine share them. meets: whether they
+    wait for each other after it.
     """
 
     count: Place
     counter: int
     carried: tuple[tuple[int, int, int], ...]
     body: tuple["Statement", ...]
+    is_parted: bool = False
+    meets: bool = False
 
 
 @dataclass(frozen=True)
@@ -148,7 +159,18 @@ class Together:
     body: tuple["Statement", ...]
 
 
-Statement = Assign | Loop | Branch | Read | Store | Each | Together
+@dataclass(frozen=True)
+class Call:
+    """Computes a routine of the program, which works on `shared`, `common` and the model's numbers alone.
+
+    A GPU has several threads of an environment for it. uses: no variables.
+    """
+
+    routine: str
+    uses: Sequence[int] = ()
+
+
+Statement = Assign | Loop | Branch | Read | Store | Each | Together | Call
 
 
 @dataclass(frozen=True)
@@ -161,25 +183,33 @@ class Output:
 
 @dataclass
 class Memory:
-    """num_numbers, num_counts: how much of these spaces there is. arrays: where arrays, lists and columns
-    begin, by name. lists: how long lists may get. constants, integers: what lies in these spaces."""
+    """num_numbers, num_shared, num_common, num_counts: how much of these spaces there is. arrays: where
+    arrays, lists and columns begin, by name. lists: how long lists may get. constants, integers: what lies
+    there. tables, commons: where those of `integers` and the arrays of `common` begin."""
 
     num_numbers: int = 0
+    num_shared: int = 0
+    num_common: int = 0
     num_counts: int = 0
     arrays: dict[str, int] = field(default_factory=dict[str, int])
     lists: dict[str, int] = field(default_factory=dict[str, int])
     constants: list[float] = field(default_factory=list[float])
     integers: list[int] = field(default_factory=list[int])
+    tables: list[int] = field(default_factory=list[int])
+    commons: list[int] = field(default_factory=list[int])
 
 
 @dataclass
 class Program:
-    """statements: of the open block. outputs: by name, in the order of their places."""
+    """statements: of the open block. outputs: by name, in the order of their places. routines: by name.
+    has_team: whether several threads may compute a routine."""
 
     statements: list[Statement] = field(default_factory=list[Statement])
     outputs: dict[str, list[Output]] = field(default_factory=dict[str, list[Output]])
     num_lanes: int = 1
+    has_team: bool = False
     memory: "Memory" = field(default_factory=lambda: Memory())
+    routines: dict[str, tuple[Statement, ...]] = field(default_factory=dict[str, tuple[Statement, ...]])
     _known: dict[tuple[object, ...], int] = field(default_factory=dict[tuple[object, ...], int])
     _order: list[tuple[object, ...]] = field(default_factory=list[tuple[object, ...]])  # of what is known
     _open: list[list[Statement]] = field(default_factory=list[list[Statement]])  # blocks around the open one
@@ -267,6 +297,22 @@ class Program:
             self.statements.append(Branch(condition.number, tuple(statements), tuple(results)))
         following = iter(chosen)
         return [next(following) if one else value for value, one in zip(others, differ, strict=True)]
+
+    def routine(self, name: str, body: Callable[[], object]) -> None:
+        """Calls the routine of this name; the first call writes it, with no variable from outside.
+
+        Raises ValueError if it reads or writes what other threads of an environment do not see.
+        """
+        if name not in self.routines:
+            known, order = self._known, self._order
+            self._known, self._order = {}, []
+            with self.block() as statements:
+                body()
+            self._known, self._order = known, order
+            if not _is_seen(statements):
+                raise ValueError(f"The routine {name!r} works on numbers of one thread.")
+            self.routines[name] = tuple(statements)
+        self.statements.append(Call(name))
 
     @contextmanager
     def block(self) -> Generator[list[Statement]]:
@@ -380,12 +426,29 @@ class Symbol:
         return self.program.write("not", self.number)
 
 
+def _is_seen(statements: Sequence[Statement]) -> bool:
+    """Whether they work on what routines see alone."""
+    for one in statements:
+        match one:
+            case Assign():
+                is_seen = one.operation not in ("input", "lane_input")
+            case Read() | Store():
+                is_seen = one.space not in ("numbers", "counts")
+            case Each():
+                is_seen = _is_seen(one.body)
+            case _:
+                is_seen = False
+        if not is_seen:
+            return False
+    return True
+
+
 def assigns(statements: Sequence[Statement]) -> Iterator[Assign]:
     """All operations, those in loops and branches, too."""
     for one in statements:
         if isinstance(one, Assign):
             yield one
-        elif not isinstance(one, Read | Store):
+        elif not isinstance(one, Read | Store | Call):
             yield from assigns(one.body)
 
 

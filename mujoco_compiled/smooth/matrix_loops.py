@@ -6,15 +6,13 @@ lies behind its end changes, and is never used.
 Source: Featherstone (2008), section 6.5.
 """
 
-from mujoco_compiled.program.arithmetic import Number, Vector, dot, subtract
-from mujoco_compiled.program.memory import Array, array, for_each, integers
+from mujoco_compiled.program.arithmetic import Number, Vector, subtract
+from mujoco_compiled.program.memory import Array, Table, array, for_each, integers, shared_array
 from mujoco_compiled.program.program import Place
 from mujoco_compiled.smooth.factor import factorize, solve
-from mujoco_compiled.smooth.tree_loops import TreeLoops
+from mujoco_compiled.smooth.tree_loops import FEW_DOFS, TreeLoops
 
 _BLOCK = 4
-# Up to here it is faster to write the factor out, and takes no more than 2,000 operations.
-_FEW_DOFS = 20
 
 
 class MatrixLoops:
@@ -24,37 +22,51 @@ class MatrixLoops:
         program, tree = loops.program, loops.tree
         self._program, self._loops, self._tree, self._size = program, loops, tree, len(tree.dofs)
         rows = [list(range(i + 1)) if is_dense else [*dof.ancestors, i] for i, dof in enumerate(tree.dofs)]
-        blocks = [-(-len(row) // _BLOCK) for row in rows]
-        begins = [sum(blocks[:i]) for i in range(self._size)]
-        links = [j for row in rows for j in row]
-        of_links = [sum(map(len, rows[:i])) for i in range(self._size)]
+        num_blocks = [-(-len(row) // _BLOCK) for row in rows]
+        begins = [sum(num_blocks[:i]) for i in range(self._size)]
+        self._num_all_blocks = sum(num_blocks)
         self._places = {
             (i, j): _BLOCK * begins[i] + place for i, row in enumerate(rows) for place, j in enumerate(row)
         }
-        self._blocks = array(program, "matrix", sum(blocks), _BLOCK)
-        self._entries = Array(program, self._blocks.first, 1)
-        self._inverses = array(program, "inverse diagonal", self._size)
-        self._vector = array(program, "right side", self._size)
+        # A routine solves: the threads that share it see what it works on.
+        made = shared_array if program.has_team and self._size > FEW_DOFS else array
+        self._blocks = made(program, "matrix", sum(num_blocks), _BLOCK)
+        self._entries = self._blocks.flat()
+        self._right = made(program, "right side", self._size)
+        self._solution = made(program, "solution", self._size)
         self._begins = integers(program, "matrix rows' begins", begins)
-        self._num_blocks = integers(program, "matrix rows' blocks", blocks)
-        self._lengths = integers(program, "matrix rows' lengths", [len(row) - 1 for row in rows])
-        self._links = integers(program, "matrix links", links)
-        self._first_links = integers(program, "matrix rows' links", of_links)
         self._of_mass = integers(
             program, "mass entries' places", [self._places[place] for place in tree.entries]
         )
+        if self._size <= FEW_DOFS:
+            return
+        self._inverses = made(program, "inverse diagonal", self._size)
+        self._diagonal = integers(program, "diagonal", [self._places[k, k] for k in range(self._size)])
+        # By row k: those above that its elimination changes, with begin and length in blocks, and where row k
+        # has its entry with them.
+        self._changed = Table(
+            program,
+            "changed rows",
+            [
+                [(i, begins[i], num_blocks[i], self._places[k, i]) for i in rows[k][:-1]]
+                for k in range(self._size)
+            ],
+        )
+        self._below = Table(
+            program,
+            "entries below",
+            [
+                [(i, self._places[i, j]) for i in range(j + 1, self._size) if (i, j) in self._places]
+                for j in range(self._size)
+            ],
+        )
 
     def set_to_mass(self) -> None:
-        def clear(block: Place, _: Vector) -> Vector:
-            self._blocks.store(block, [0.0] * _BLOCK)
-            return []
+        def set_all() -> None:
+            self._clear()
+            self._copy()
 
-        def copy(entry: Place, _: Vector) -> Vector:
-            self._entries.store(self._of_mass.at(entry), self._loops.mass.row(entry))
-            return []
-
-        for_each(self._program, self._num_all_blocks, clear)
-        for_each(self._program, len(self._tree.entries), copy)
+        self._loops.share("set the matrix to mass", set_all)
 
     def add(self, i: int, j: int, value: Number) -> None:
         """To an entry of the lower triangle."""
@@ -70,72 +82,65 @@ class MatrixLoops:
 
     def solved(self, right: Vector) -> Vector:
         """x [nv] with the matrix times x = right."""
-        if self._size <= _FEW_DOFS:
+        if self._size <= FEW_DOFS:
             entries = {place: self._entries.row(at)[0] for place, at in self._places.items()}
             return solve(self._tree, factorize(self._tree, entries), right)
-        self._factorize()
-        return self._solve(right)
+        for i, number in enumerate(right):
+            self._right.store(i, [number])
+        self._loops.share("solve", self._solve)
+        return [self._solution.row(i)[0] for i in range(self._size)]
 
-    def _factorize(self) -> None:
-        """Eliminates from the leaves to the root."""
+    def _solve(self) -> None:
+        """Eliminates from the leaves to the root, and finds the solution from the root to the leaves."""
+        size = self._size
 
         def eliminate(before: Place, _: Vector) -> Vector:
-            k = before * -1 + (self._size - 1)
-            begin, length = self._begins.at(k), self._lengths.at(k)
-            inverse = 1.0 / self._entries.row(begin * _BLOCK + length)[0]
+            k = before * -1 + (size - 1)
+            begin = self._begins.at(k)
+            inverse = 1.0 / self._entries.row(self._diagonal.at(k))[0]
+            known = inverse * self._right.row(k)[0]
             self._inverses.store(k, [inverse])
-            first = self._first_links.at(k)
+            self._solution.store(k, [known])
 
-            def update(place: Place, _: Vector) -> Vector:
-                i = self._links.at(first + place)
-                factor = self._entries.row(begin * _BLOCK + place)[0] * inverse
-                of_i = self._begins.at(i)
+            def change(row: Place, _: Vector) -> Vector:
+                i, first, length, place = self._changed.at(row)
+                entry = self._entries.row(place)[0]
+                factor = entry * inverse
+                self._right.add(i, [-(entry * known)])
 
                 def block(number: Place, _: Vector) -> Vector:
-                    own, other = self._blocks.row(of_i + number), self._blocks.row(begin + number)
-                    self._blocks.store(of_i + number, subtract(own, [factor * x for x in other]))
+                    own, other = self._blocks.row(first + number), self._blocks.row(begin + number)
+                    self._blocks.store(first + number, subtract(own, [factor * x for x in other]))
                     return []
 
-                return for_each(self._program, self._num_blocks.at(i), block)
+                return for_each(self._program, length, block)
 
-            return for_each(self._program, length, update)
+            return self._changed.for_each(k, change, is_parted=True)
 
-        for_each(self._program, self._size, eliminate)
+        def find(j: Place, _: Vector) -> Vector:
+            found = self._solution.row(j)[0]
 
-    def _solve(self, right: Vector) -> Vector:
-        """x [nv] with the factorized matrix times x = right."""
-        for i, number in enumerate(right):
-            self._vector.store(i, [number])
-
-        def down(before: Place, _: Vector) -> Vector:
-            k = before * -1 + (self._size - 1)
-            begin, first = self._begins.at(k) * _BLOCK, self._first_links.at(k)
-            own = self._inverses.row(k)[0] * self._vector.row(k)[0]
-            self._vector.store(k, [own])
-
-            def term(place: Place, _: Vector) -> Vector:
-                self._vector.add(
-                    self._links.at(first + place), [-(self._entries.row(begin + place)[0] * own)]
-                )
+            def take(row: Place, _: Vector) -> Vector:
+                i, place = self._below.at(row)
+                factor = self._inverses.row(i)[0] * self._entries.row(place)[0]
+                self._solution.add(i, [-(factor * found)])
                 return []
 
-            return for_each(self._program, self._lengths.at(k), term)
+            return self._below.for_each(j, take, is_parted=True)
 
-        def up(k: Place, _: Vector) -> Vector:
-            begin, first = self._begins.at(k) * _BLOCK, self._first_links.at(k)
+        for_each(self._program, size, eliminate)
+        for_each(self._program, size, find)
 
-            def term(place: Place, now: Vector) -> Vector:
-                known = self._vector.row(self._links.at(first + place))
-                return [now[0] + dot(self._entries.row(begin + place), known)]
-
-            (found,) = for_each(self._program, self._lengths.at(k), term, [0.0])
-            self._vector.add(k, [-(self._inverses.row(k)[0] * found)])
+    def _clear(self) -> None:
+        def clear(block: Place, _: Vector) -> Vector:
+            self._blocks.store(block, [0.0] * _BLOCK)
             return []
 
-        for_each(self._program, self._size, down)
-        for_each(self._program, self._size, up)
-        return [self._vector.row(i)[0] for i in range(self._size)]
+        for_each(self._program, self._num_all_blocks, clear, is_parted=True)
 
-    @property
-    def _num_all_blocks(self) -> int:
-        return sum(self._num_blocks.values)
+    def _copy(self) -> None:
+        def copy(entry: Place, _: Vector) -> Vector:
+            self._entries.store(self._of_mass.at(entry), self._loops.mass.row(entry))
+            return []
+
+        for_each(self._program, len(self._tree.entries), copy, is_parted=True)

@@ -9,10 +9,20 @@ where the code did not fit the cache, and 4 to 6 in a loop. A loop takes several
 for places and memory.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from mujoco_compiled.program.arithmetic import Vector, add, dot, scale, subtract
-from mujoco_compiled.program.memory import Array, Integers, array, column, for_each, integers
+from mujoco_compiled.program.memory import (
+    Array,
+    Integers,
+    Table,
+    array,
+    column,
+    common_array,
+    for_each,
+    integers,
+)
 from mujoco_compiled.program.program import Place, Program
 from mujoco_compiled.smooth.dynamics import (
     Entries,
@@ -32,18 +42,21 @@ from mujoco_compiled.smooth.tree import Tree
 _STILL = [0.0] * 6
 # Measured on an H200: up to the first, all is faster written out; up to the second, products are, which have
 # few operations.
-_FEW_DOFS, _MANY_DOFS = 20, 40
+FEW_DOFS, _MANY_DOFS = 20, 40
 
 
 class TreeLoops:
     """rows: by body, its row. By row: axes and velocities of the last `motion`, motions of the last `move`.
-    mass: the entries of the last `mass_matrix`."""
+    mass: the entries of the last `mass_matrix`. bends: room for bodies' curvatures."""
 
     def __init__(self, program: Program, tree: Tree) -> None:
         self.program, self.tree = program, tree
         size = len(tree.dofs)
         self.rows = rows_of(tree)
-        self._is_tiny, self._is_small = size <= _FEW_DOFS, size <= _MANY_DOFS
+        self._is_tiny, self._is_small = size <= FEW_DOFS, size <= _MANY_DOFS
+        self._has_team = program.has_team and not self._is_tiny
+        # What routines work on, if there are any.
+        self.room = partial(common_array if self._has_team else array, program)
         self._above = integers(program, "rows above", [_above(tree, i) for i in range(size)])
         self._before_joint = integers(program, "rows before joints", _before_joints(tree))
         self._body_rows = integers(program, "rows of bodies", self.rows)
@@ -53,6 +66,8 @@ class TreeLoops:
         self._begins = integers(program, "chains' begins", begins)
         self._lengths = integers(program, "chains' lengths", [len(chain) for chain in chains])
         self._links = integers(program, "chains", [j for chain in chains for j in chain])
+        ends = [begin + len(chain) - 1 for begin, chain in zip(begins, chains, strict=True)]
+        self._diagonal = integers(program, "chains' ends", ends)
         self._armatures = column(program, "armatures", [dof.armature for dof in tree.dofs])
         bodies = tree.bodies
         self._masses = column(program, "masses", [body.mass for body in bodies])
@@ -60,17 +75,19 @@ class TreeLoops:
             column(program, f"inertias {k}", own)
             for k, own in enumerate(zip(*(body.inertia for body in bodies), strict=True))
         ]
-        self.axes = array(program, "axes", size + 1, 6)
+        # A card has the first of them nearest.
+        self.mass = self.room("mass", len(tree.entries))
+        self.axes = self.room("axes", size + 1, 6)
+        self._vector = self.room("a vector", size)
+        self._product = self.room("a product", size)
+        self.bends = self.room("bends", size + 1, 21)
         self._rates = array(program, "axis rates", size + 1, 6)
         self.velocities = array(program, "rows' velocities", size + 1, 6)
         self._placed = array(program, "rotations and offsets", len(bodies), 12)
-        self._inertias = array(program, "bodies' inertias", len(bodies), 10)
-        self._composites = array(program, "composites", size + 1, 10)
-        self.motions = array(program, "rows' motions", size + 1, 6)
-        self._vector = array(program, "a vector", size)
-        self._product = array(program, "a product", size)
-        self._carried = array(program, "carried", size + 1, 6)
-        self.mass = array(program, "mass", len(tree.entries))
+        self._inertias = self.room("bodies' inertias", len(bodies), 10)
+        self._composites = self.room("composites", size + 1, 10)
+        self.motions = self.room("rows' motions", size + 1, 6)
+        self._carried = self.room("carried", size + 1, 6)
 
     def motion(self, at: Poses, qvel: Vector) -> Motion:
         """As `dynamics.motion`."""
@@ -113,29 +130,38 @@ class TreeLoops:
             for number, place in enumerate(self.tree.entries):
                 self.mass.store(number, [entries[place]])
             return entries
-        self.clear(self._composites)
+        self.share("mass matrix", self._fill_mass)
 
-        def collect(body: Place, _: Vector) -> Vector:
-            self._composites.add(self._body_rows.at(body), self._inertias.row(body))
+        def add_armature(dof: Place, _: Vector) -> Vector:
+            self.mass.add(self._diagonal.at(dof), [self._armatures.at(dof)])
             return []
+
+        for_each(self.program, len(self.tree.dofs), add_armature)
+        return {place: self.mass.row(number)[0] for number, place in enumerate(self.tree.entries)}
+
+    def _fill_mass(self) -> None:
+        def collect(composites: Array, inertias: Array) -> None:
+            def add_body(body: Place, _: Vector) -> Vector:
+                composites.add(self._body_rows.at(body), inertias.row(body))
+                return []
+
+            self.clear(composites)
+            for_each(self.program, len(self.tree.bodies), add_body)
+            self._carry(composites)
 
         def fill(dof: Place, _: Vector) -> Vector:
             force = momentum(self._composites.row(dof + 1), self.axes.row(dof + 1))
-            begin, length = self._begins.at(dof), self._lengths.at(dof)
+            begin = self._begins.at(dof)
 
             def entry(link: Place, _: Vector) -> Vector:
                 place = begin + link
                 self.mass.store(place, [dot(self.axes.row(self._links.at(place) + 1), force)])
                 return []
 
-            for_each(self.program, length, entry)
-            self.mass.add(begin + length + (-1), [self._armatures.at(dof)])
-            return []
+            return for_each(self.program, self._lengths.at(dof), entry)
 
-        for_each(self.program, len(self.tree.bodies), collect)
-        self._carry(self._composites, range(10))
-        for_each(self.program, len(self.tree.dofs), fill)
-        return {place: self.mass.row(number)[0] for number, place in enumerate(self.tree.entries)}
+        self._by_parts(2, [self._composites, self._inertias], collect)
+        for_each(self.program, len(self.tree.dofs), fill, is_parted=True)
 
     def change_mass(self, before: Entries, after: Entries) -> None:
         """Puts the entries that are others now."""
@@ -175,27 +201,35 @@ class TreeLoops:
             self._move_written_out(vector)
             return
         self._note(vector)
-        self.motions.store(0, _STILL)
+        self.share("move", self._move)
 
-        def move(dof: Place, _: Vector) -> Vector:
-            change = scale(self.axes.row(dof + 1), self._vector.row(dof)[0])
-            self.motions.store(dof + 1, add(self.motions.row(self._above.at(dof)), change))
-            return []
+    def _move(self) -> None:
+        def move_parts(motions: Array, axes: Array) -> None:
+            def move(dof: Place, _: Vector) -> Vector:
+                change = scale(axes.row(dof + 1), self._vector.row(dof)[0])
+                motions.store(dof + 1, add(motions.row(self._above.at(dof)), change))
+                return []
 
-        for_each(self.program, len(self.tree.dofs), move)
+            motions.store(0, [0.0] * len(motions))
+            for_each(self.program, len(self.tree.dofs), move)
+
+        self._by_parts(2, [self.motions, self.axes], move_parts)
 
     def on_dofs(self, wrenches: Array) -> Vector:
         """The forces [nv] of spatial forces [6] by row, which are carried to the root."""
         if self._is_small:
             return self._on_dofs_written_out(wrenches)
 
+        self.share(f"forces of {wrenches.first}", lambda: self._push(wrenches))
+        return [self._vector.row(i)[0] for i in range(len(self.tree.dofs))]
+
+    def _push(self, wrenches: Array) -> None:
         def push(dof: Place, _: Vector) -> Vector:
             self._vector.store(dof, [dot(self.axes.row(dof + 1), wrenches.row(dof + 1))])
             return []
 
-        self._carry(wrenches, range(6))
-        for_each(self.program, len(self.tree.dofs), push)
-        return [self._vector.row(i)[0] for i in range(len(self.tree.dofs))]
+        self._by_parts(2, [wrenches], self._carry)
+        for_each(self.program, len(self.tree.dofs), push, is_parted=True)
 
     def multiply(self, vector: Vector) -> Vector:
         """M x [nv]."""
@@ -203,28 +237,38 @@ class TreeLoops:
             entries = {place: self.mass.row(number)[0] for number, place in enumerate(self.tree.entries)}
             return multiply(self.tree, entries, vector)
         self._note(vector)
+        self.share("multiply", self._multiply)
+        return [self._product.row(i)[0] for i in range(len(self.tree.dofs))]
+
+    def _multiply(self) -> None:
+        entries = {place: number for number, place in enumerate(self.tree.entries)}
+        size = range(len(self.tree.dofs))
+        terms = Table(
+            self.program,
+            "products",
+            [
+                [(entries[max(i, j), min(i, j)], j) for j in size if (max(i, j), min(i, j)) in entries]
+                for i in size
+            ],
+        )
 
         def along(dof: Place, _: Vector) -> Vector:
-            begin, own = self._begins.at(dof), self._vector.row(dof)[0]
+            def term(row: Place, now: Vector) -> Vector:
+                entry, other = terms.at(row)
+                return [now[0] + self.mass.row(entry)[0] * self._vector.row(other)[0]]
 
-            def term(link: Place, now: Vector) -> Vector:
-                other, entry = self._links.at(begin + link), self.mass.row(begin + link)[0]
-                self._product.add(other, [entry * own])
-                return [now[0] + entry * self._vector.row(other)[0]]
-
-            others = self._lengths.at(dof) + (-1)
-            self._product.store(dof, [self.mass.row(begin + others)[0] * own])
-            (found,) = for_each(self.program, others, term, [0.0])
-            self._product.add(dof, [found])
+            self._product.store(dof, terms.for_each(dof, term, [0.0]))
             return []
 
-        for_each(self.program, len(self.tree.dofs), along)
-        return [self._product.row(i)[0] for i in range(len(self.tree.dofs))]
+        for_each(self.program, len(self.tree.dofs), along, is_parted=True)
 
     def add_projected(self, bends: Array, places: Integers, entries: Array) -> None:
         """Adds Aᵀ K A to the tree's entries. bends: by row, the lower triangle of a body's K [21], which are
         carried to the root. places: of the tree's entries."""
 
+        self.share("projected", lambda: self._add_projected(bends, places, entries))
+
+    def _add_projected(self, bends: Array, places: Integers, entries: Array) -> None:
         def fill(dof: Place, _: Vector) -> Vector:
             bend, axis = bends.row(dof + 1), self.axes.row(dof + 1)
             force = [dot([bend[lower(k, m)] for m in range(6)], axis) for k in range(6)]
@@ -237,14 +281,33 @@ class TreeLoops:
 
             return for_each(self.program, self._lengths.at(dof), entry)
 
-        self._carry(bends, range(bends.width))
-        for_each(self.program, len(self.tree.dofs), fill)
+        self._by_parts(3, [bends], self._carry)
+        for_each(self.program, len(self.tree.dofs), fill, is_parted=True)
+
+    def share(self, name: str, body: Callable[[], object]) -> None:
+        """Does the body, in a routine where several threads may."""
+        if self._has_team:
+            self.program.routine(name, body)
+        else:
+            body()
+
+    def _by_parts(self, size: int, arrays: Sequence[Array], body: Callable[..., object]) -> None:
+        """The body for parts of the arrays' rows, of `size` numbers each; one thread does all of a row."""
+        if not self._has_team:
+            body(*arrays)
+            return
+
+        def part(number: Place, _: Vector) -> Vector:
+            body(*(one.part(number * size, size) for one in arrays))
+            return []
+
+        for_each(self.program, len(arrays[0]) // size, part, is_parted=True)
 
     def clear(self, rows: Array) -> None:
         """Sets them to 0, row 0, too."""
 
         def clear(row: Place, _: Vector) -> Vector:
-            rows.store(row, [0.0] * rows.width)
+            rows.store(row, [0.0] * len(rows))
             return []
 
         for_each(self.program, len(self.tree.dofs) + 1, clear)
@@ -284,13 +347,13 @@ class TreeLoops:
         for i, number in enumerate(vector):
             self._vector.store(i, [number])
 
-    def _carry(self, rows: Array, places: Sequence[int]) -> None:
+    def _carry(self, rows: Array) -> None:
         """To each row, those that it carries."""
         last = len(self.tree.dofs) - 1
 
         def carry(before: Place, _: Vector) -> Vector:
             dof = before * -1 + last
-            rows.add(self._above.at(dof), rows.read(dof + 1, places))
+            rows.add(self._above.at(dof), rows.row(dof + 1))
             return []
 
         for_each(self.program, len(self.tree.dofs), carry)

@@ -4,10 +4,11 @@ import re
 
 import pytest
 
-from mujoco_compiled.code.gpu_kernel import gpu_kernel, most_warps
-from mujoco_compiled.program.arithmetic import Number, sine
+from mujoco_compiled.code.gpu_kernel import MOST_SHARED, block_of, gpu_kernel, most_warps
+from mujoco_compiled.program.arithmetic import Number, Vector, sine
 from mujoco_compiled.program.flow import repeat, where_needed
-from mujoco_compiled.program.program import Program
+from mujoco_compiled.program.memory import common_array, for_each, shared_array
+from mujoco_compiled.program.program import Place, Program
 
 WAIT, ASK = "call void @llvm.nvvm.barrier", "call i1 @llvm.nvvm.barrier"
 
@@ -75,3 +76,61 @@ def test_a_program_in_sections_goes_alone() -> None:
     assert most_warps(program, 2_000) == 1
     assert WAIT not in code
     assert ASK not in code
+
+
+def program_with_a_routine(size: int) -> Program:
+    """The routine doubles numbers that all threads see, in a loop that environments leave one by one."""
+    program = Program(has_team=True)
+    held, far = shared_array(program, "held", size), common_array(program, "far", 4)
+
+    def add(row: Place, _: Vector) -> Vector:
+        held.add(row, far.row(row))
+        return []
+
+    def double() -> None:
+        for_each(program, 4, add, is_parted=True)
+
+    def body(carried: list[Number]) -> tuple[list[Number], Number]:
+        held.store(0, carried)
+        far.store(0, carried)
+        program.routine("double", double)
+        (y,) = held.row(0)
+        return [y], y < 10.0
+
+    program.output("y", repeat(5, body, list(program.inputs("x", 1))))
+    return program
+
+
+def test_the_threads_of_a_block_share_a_routine() -> None:
+    program = program_with_a_routine(100)
+    code = gpu_kernel(program, "run", load=32)
+    assert '"nvvm.maxntid"="256"' in code
+    # All environments go through the loop as long as one of them does.
+    assert code.count("call i1 @llvm.nvvm.vote.any.sync(i32 -1, i1") == 1
+    assert code.count("define internal void") == 2
+    assert "phi i64 [ %part, " in code
+    assert ", %num_parts" in code
+
+
+@pytest.mark.parametrize(
+    ("size", "load", "num_envs", "near"),
+    [
+        (100, 32, 32, 4),  # all is near
+        (100, 16, 16, 4),
+        (100, 33, 32, 0),  # blocks have to share a processor
+        (1_815, 32, 32, 0),
+        (2_000, 32, 16, 0),
+        (2_000, 16, 16, 4),
+    ],
+)
+def test_a_block_has_as_many_environments_as_fit(size: int, load: int, num_envs: int, near: int) -> None:
+    block = block_of(program_with_a_routine(size), None, load)
+    assert block is not None
+    assert (block.num_envs, block.near) == (num_envs, near)
+    assert block.shared_bytes == 4 * num_envs * (size + near) <= MOST_SHARED
+
+
+def test_threads_go_alone_where_too_much_is_shared_or_nothing() -> None:
+    assert block_of(program_with_a_routine(8_000), None, 32) is None
+    assert "vote" not in gpu_kernel(program_with_a_routine(8_000), "run").split("define ptx_kernel")[1]
+    assert block_of(program_of(1_000), None, 32) is None

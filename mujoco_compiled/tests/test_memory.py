@@ -1,17 +1,21 @@
 """Loops over tables, lists and arrays: NumPy runs them as written, and machine code for several at once."""
 
 import numpy as np
+import pytest
 
 from mujoco_compiled.program.arithmetic import Number, Vector
 from mujoco_compiled.program.interpret import interpret
 from mujoco_compiled.program.memory import (
     Lookup,
+    Table,
     array,
     column,
+    common_array,
     for_each,
     integers,
     overflow,
     rows,
+    shared_array,
     where_any,
 )
 from mujoco_compiled.program.program import Place, Program
@@ -113,3 +117,57 @@ def test_each_environment_reads_a_row_of_its_own() -> None:
     # Half of 8 is beyond the table, and half of -3 before it.
     np.testing.assert_array_equal(both(program)["weight"][0], [0.5, 0.5, 0.5, 4.0, 0.5])
     np.testing.assert_array_equal(weights.at(np.array([np.nan, 1.0, -2.0])), [0.5, 2.0, 0.5])
+
+
+def summed(program: Program, x: Number) -> Vector:
+    """A routine called twice: sums of groups of rows, and halves of three rows, carried from row to row."""
+    groups = Table(program, "groups", [[(0, 2)], [], [(1, 1), (0, 0)]])
+    given, found = shared_array(program, "given", 3), common_array(program, "found", 3)
+    pairs = common_array(program, "pairs", 3, 2)
+
+    def work() -> None:
+        def group(number: Place, _: Vector) -> Vector:
+            def add(row: Place, now: Vector) -> Vector:
+                one, other = groups.at(row)
+                return [now[0] + given.row(one)[0] * given.row(other)[0]]
+
+            found.store(number, groups.for_each(number, add, [0.0]))
+            return []
+
+        def half(place: Place, _: Vector) -> Vector:
+            own = pairs.part(place, 1)
+
+            def carry(row: Place, _: Vector) -> Vector:
+                own.add(row + 1, own.row(row))
+                return []
+
+            return for_each(program, 2, carry)
+
+        for_each(program, 3, group, is_parted=True)
+        for_each(program, 2, half, is_parted=True)
+
+    for row in range(3):
+        given.store(row, [x + float(row)])
+        pairs.store(row, [x, 1.0])
+    program.routine("work", work)
+    first = [found.row(row)[0] for row in range(3)]
+    given.store(0, [0.0])
+    program.routine("work", work)
+    return [*first, *(found.row(row)[0] for row in range(3)), *pairs.row(2)]
+
+
+def test_a_routine_works_on_what_lies_in_memory_whenever_it_is_called() -> None:
+    program = Program()
+    program.output("found", summed(program, program.inputs("x", 1)[0]))
+    assert len(program.routines) == 1
+    x, one, two = GIVEN, GIVEN + 1.0, GIVEN + 2.0
+    expected = [x * two, 0 * x, one**2 + x**2, 0 * x, 0 * x, one**2]
+    # Sums of sums: after the first call x, 2 x, 3 x, and after the second x, 3 x, 6 x.
+    np.testing.assert_allclose(both(program)["found"], [*expected, 6.0 * x, np.full(5, 6.0)])
+
+
+def test_a_routine_must_not_work_on_numbers_that_other_threads_do_not_see() -> None:
+    program = Program()
+    own = array(program, "own", 1)
+    with pytest.raises(ValueError, match="'work' works on numbers of one thread"):
+        program.routine("work", lambda: own.store(0, [1.0]))
