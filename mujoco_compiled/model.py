@@ -94,7 +94,7 @@ class Moves:
         described = f"{move} {self._described} {own}"
         if move == "forward":
             write, alone = partial(derived_program, plan), partial(derived_program, plan, alone=True)
-            return FunctionSource(described, write, alone, inputs, written, is_large=False)
+            return FunctionSource(described, write, alone, inputs, written, is_rare=True)
         write, in_lanes = (
             partial(one, plan, self.nstep) for one in (control_step_program, control_step_in_lanes)
         )

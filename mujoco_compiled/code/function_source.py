@@ -29,14 +29,16 @@ class Kernel:
 class FunctionSource:
     """described: what tells it from other programs. write: writes the program; write_lanes: the same for
     several lanes, if the body has limbs that are alike. inputs, outputs: by name, how many numbers of an
-    environment an array holds, in the program's order. is_large: whether it may have routines."""
+    environment an array holds, in the program's order. is_large: whether it may have routines.
+    is_rare: see `is_long`."""
 
     described: str
     write: Callable[[], Program]
     write_lanes: Callable[[], Program]
     inputs: Mapping[str, int]
     outputs: Mapping[str, int]
-    is_large: bool
+    is_large: bool = False
+    is_rare: bool = False
 
     def cpu_code(self) -> bytes:
         """An object file for this processor."""
@@ -46,7 +48,7 @@ class FunctionSource:
 
         def make() -> bytes:
             program = self._checked(self.write())
-            if not is_long(program):
+            if not is_long(program, is_rare=self.is_rare):
                 return machine_code(cpu_function(program, FUNCTION, vector_width()))
             code = cpu_function(program, FUNCTION, vector_width(), _CPU_SECTION, num_cores())
             return machine_code(code, level=1)
