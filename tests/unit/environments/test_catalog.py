@@ -190,8 +190,8 @@ STARS = {"brittle_star", "brittle_star_light_escape", "brittle_star_undirected"}
         ("cpu", 4096, {"corridor", "reacher", "rodent", "mjcf", *ROBOTS, *STARS}),
         # A rollout of one episode: the others take longer to compile than C MuJoCo takes for it.
         ("cpu", 1, {"reacher", *ROBOTS}),
-        ("gpu", 4096, {"corridor", *ROBOTS, *STARS}),
-        ("gpu", 1, {"corridor", *ROBOTS, *STARS}),
+        ("gpu", 4096, {"corridor", "rodent", *ROBOTS, *STARS}),
+        ("gpu", 1, {"corridor", "rodent", *ROBOTS, *STARS}),
     ],
 )
 def test_auto_takes_compiled_for_the_bodies_it_was_measured_on_where_it_is_installed(
