@@ -18,7 +18,7 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.turns import Quota
 from core.reasons import Reason
-from tests.contract.recording import LEASE, NOW, Database
+from tests.contract.recording import LEASE, NOW, Database, cancelled
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 
 _NUMBERS = count()
@@ -120,6 +120,45 @@ def test_a_job_that_the_worker_cannot_run_is_passed_over(job_store: PostgresJobS
     claim = take(job_store, fits=fits)
     assert claim is not None
     assert claim.job_id == jobs[2].id
+
+
+@pytest.mark.parametrize("most", [100, 5])
+def test_many_jobs_that_the_worker_cannot_run_keep_no_other_user_waiting(
+    job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    monkeypatch.setattr("core.adapters.postgres.turns._MOST_UNFIT", most)
+    for _ in range(12):
+        add(job_store, "ann")
+    bens, tried = add(job_store, "ben"), list[str | None]()
+
+    def fits(job: Job) -> bool:
+        tried.append(job.owner)
+        return job.owner == "ben"
+
+    claim = take(job_store, fits=fits)
+    assert claim is not None
+    assert claim.job_id == bens.id
+    assert tried == ["ann"] * min(10, most) + ["ben"]
+
+
+def test_a_job_that_is_cancelled_deleted_or_claimed_meanwhile_is_passed_over(
+    job_store: PostgresJobStore,
+) -> None:
+    cancels, deletes, claims, last = (add(job_store) for _ in range(4))
+
+    def fits(job: Job) -> bool:
+        if job.id == cancels.id:
+            job_store.save(cancelled(job))
+        elif job.id == deletes.id:
+            job_store.delete(job.id, job.version)
+        elif job.id == claims.id:
+            job_store.save(job.claimed("worker-2", NOW), lease=LEASE)
+        return True
+
+    claim = take(job_store, fits=fits)
+    assert claim is not None
+    assert claim.job_id == last.id
+    assert job_store.get(last.id).token == claim.token
 
 
 def test_a_claim_whose_answer_was_lost_is_the_same_again(job_store: PostgresJobStore) -> None:

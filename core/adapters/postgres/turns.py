@@ -4,7 +4,9 @@
 that a claim takes as long among ten thousand jobs as among ten.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime, timedelta
 from typing import Any
@@ -19,11 +21,12 @@ from core.adapters.postgres.jobs import save_job
 from core.adapters.postgres.rows import HELD, find_job, readable
 from core.adapters.postgres.tables import quotas as quotas_table
 from core.adapters.postgres.usage import SHARES
+from core.errors import IllegalTransition, JobNotFound, StaleJob
 from core.jobs.forecast import TurnFacts
 from core.jobs.job import Job
 from core.jobs.queue import PRIORITIES
 from core.jobs.slots import kind_of_queue
-from core.jobs.turns import Quota, Quotas, Request, Share, Started, in_order, standings_on
+from core.jobs.turns import Quota, Quotas, Request, Share, Started, Who, in_order, standings_on
 
 # An arbitrary number of ours: two claims wait for each other. Without sorting, PostgreSQL walks the index
 # `jobs_turns` also where it has no statistics yet.
@@ -63,8 +66,12 @@ _RUNNING = text("""
 _WAITING = text("""
     SELECT id, queue, project, coalesce(owner, '') FROM jobs WHERE status = 'queued' ORDER BY id LIMIT 20000
 """)
-# A worker that lacks something for so many jobs in a row leaves the rest for its next turn.
+# Of how many jobs of one queue and user a worker finds out that it cannot run them; then it looks at others'.
+_MOST_UNFIT_OF_ONE = 10
+# After so many of all users, one job of each is enough: other claims wait meanwhile.
 _MOST_UNFIT = 100
+# A queue, as its kind and rank, and whose jobs.
+_Group = tuple[str, int, Who]
 
 
 class TurnQueries(Session):
@@ -82,7 +89,6 @@ class TurnQueries(Session):
         fits: Callable[[Job], bool] = lambda job: True,
         told: str = "",
     ) -> Job | None:
-        unfit = list[str]()
         with self._transaction() as connection:
             connection.execute(_BEGIN)
             running = connection.execute(_RUNNING, {"held": list(HELD)}).all()
@@ -90,18 +96,24 @@ class TurnQueries(Session):
             device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in queues) else "cpu"
             if mine := [row.id for row in running if row.token.endswith(f"-{secret}")]:
                 return readable(find_job(connection, mine[0]))  # The answer to an earlier call was lost.
-            while len(unfit) < _MOST_UNFIT:
-                heads = _heads(connection, queues, unfit, told)
-                standings, _ = standings_on(device, _shares(connection), started, _quotas(connection))
-                first = next(in_order(heads, standings), None)
-                if first is None:
-                    break
-                job = find_job(connection, first.id)
-                if isinstance(job, Job) and fits(job):
-                    claimed = job.claimed(worker, now, secret, details)
-                    save_job(connection, claimed, lease=lease)
-                    return claimed
+            standings, _ = standings_on(device, _shares(connection), started, _quotas(connection))
+            unfit, unfit_of = list[str](), Counter[_Group]()
+            heads = _heads(connection, queues, unfit, told)
+            while (first := next(in_order(heads, standings), None)) is not None:
+                # Without the lock on rows, somebody may cancel or delete the job meanwhile, or claim it by
+                # `save`. These errors are ours: no statement has failed, and the transaction goes on.
+                with suppress(IllegalTransition, StaleJob, JobNotFound):
+                    job = find_job(connection, first.id)
+                    if isinstance(job, Job) and fits(job):
+                        claimed = job.claimed(worker, now, secret, details)
+                        save_job(connection, claimed, lease=lease)
+                        return claimed
                 unfit.append(first.id)
+                unfit_of[_group(first)] += 1
+                most = _MOST_UNFIT_OF_ONE if len(unfit) < _MOST_UNFIT else 1
+                if unfit_of[_group(first)] < most:
+                    heads = _heads(connection, queues, unfit, told)
+                heads = [head for head in heads if unfit_of[_group(head)] < most]
         return None
 
     def turn_facts(self) -> TurnFacts:
@@ -128,6 +140,10 @@ class TurnQueries(Session):
 def _heads(connection: Connection, queues: Sequence[str], but_not: Sequence[str], told: str) -> list[Request]:
     values = {"queues": list(queues), "but_not": list(but_not), "told": told}
     return [request(row.id, row.queue, row.project, row.owner) for row in connection.execute(_HEADS, values)]
+
+
+def _group(waiting: Request) -> _Group:
+    return waiting.kind, waiting.rank, waiting.who
 
 
 def request(job_id: str, queue: str | None, project: str, owner: str) -> Request:
