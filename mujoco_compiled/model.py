@@ -17,7 +17,6 @@ from mujoco_compiled.constraints.contact_room import MOST_NCONMAX
 from mujoco_compiled.coverage import Uncovered, uncovered, uncovered_own
 from mujoco_compiled.fields import MODEL_FIELDS, model_field
 from mujoco_compiled.smooth.delays import control_places
-from mujoco_compiled.smooth.tree_loops import FEW_DOFS
 from mujoco_compiled.write import Plan, control_step_in_lanes, control_step_program, derived_program
 
 Move = Literal["forward", "step"]
@@ -98,8 +97,7 @@ class Moves:
         write, in_lanes = (
             partial(one, plan, self.nstep) for one in (control_step_program, control_step_in_lanes)
         )
-        is_large = self.model.nv > FEW_DOFS
-        return FunctionSource(described, write, in_lanes, inputs, written, is_large)
+        return FunctionSource(described, write, in_lanes, inputs, written)
 
     def _sizes(self, names: tuple[str, ...]) -> dict[str, int]:
         """Fields without elements are neither read nor written."""
@@ -126,9 +124,9 @@ class Model:
 def put_model(
     model: mujoco.MjModel, *, nstep: int = 1, derived: Sequence[str] = (), nconmax: int | None = None
 ) -> Model:
-    """The model for `step` and `forward`; its code is made in the background, or read where `keep_code` has
-    kept it. Raises Uncovered if the model has what the stages cannot compute, or begins with more contacts
-    than there is room for; ValueError for an `nconmax` beyond 1 to 1,024.
+    """The model for `step` and `forward`; its code is made in the background, for a GPU while JAX traces, or
+    read where `keep_code` has kept it. Raises Uncovered if the model has what the stages cannot compute, or
+    begins with more contacts than there is room for; ValueError for an `nconmax` beyond 1 to 1,024.
 
     nstep: how many time steps of the model a `step` has, under constant controls. derived: which of
     `DERIVED_FIELDS` are computed with each `step`; what is not asked for costs nothing. The solver is

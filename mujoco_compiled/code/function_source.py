@@ -29,15 +29,13 @@ class Kernel:
 class FunctionSource:
     """described: what tells it from other programs. write: writes the program; write_lanes: the same for
     several lanes, if the body has limbs that are alike. inputs, outputs: by name, how many numbers of an
-    environment an array holds, in the program's order. is_large: whether it may have routines.
-    is_rare: see `is_long`."""
+    environment an array holds, in the program's order. is_rare: see `is_long`."""
 
     described: str
     write: Callable[[], Program]
     write_lanes: Callable[[], Program]
     inputs: Mapping[str, int]
     outputs: Mapping[str, int]
-    is_large: bool = False
     is_rare: bool = False
 
     def cpu_code(self) -> bytes:
@@ -55,8 +53,8 @@ class FunctionSource:
 
         return kept(f"{self.described} for {processor()}", make)
 
-    def kernel(self, compute_capability: str, load: int) -> Kernel:
-        """For cards of this compute capability. load: see `block_of`."""
+    def kernel(self, compute_capability: str, *, is_lean: bool = False) -> Kernel:
+        """For cards of this compute capability. is_lean: see `block_of`."""
         from mujoco_compiled.code.gpu_kernel import block_of, gpu_kernel, most_warps
         from mujoco_compiled.code.long_writer import is_long
         from mujoco_compiled.code.ptx import ptx
@@ -64,14 +62,14 @@ class FunctionSource:
         def make() -> bytes:
             program = self._checked(self.write_lanes())
             section_size = _GPU_SECTION if is_long(program) else None
-            code = ptx(gpu_kernel(program, FUNCTION, section_size, load), compute_capability)
+            block = block_of(program, section_size, compute_capability, is_lean=is_lean)
+            code = ptx(gpu_kernel(program, FUNCTION, section_size, block), compute_capability)
             lanes, warps = program.num_lanes, most_warps(program, section_size)
-            block = block_of(program, section_size, load)
             of_block = [block.num_envs, block.shared_bytes] if block else [0, 0]
             sizes = [lanes, warps, *of_block, program.memory.num_common]
             return f"{' '.join(map(str, sizes))} {code}".encode()
 
-        described = f"{self.described} for {compute_capability} with {load}"
+        described = f"{self.described} for {compute_capability}{' in lean blocks' if is_lean else ''}"
         *sizes, code = kept(described, make).decode().split(" ", 5)
         lanes, warps, num_envs, shared_bytes, num_common = map(int, sizes)
         return Kernel(lanes, warps, num_envs, shared_bytes, num_common, code)

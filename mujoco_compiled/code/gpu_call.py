@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mujoco_compiled.code.function_source import FUNCTION, FunctionSource, Kernel
-from mujoco_compiled.code.gpu_kernel import MOST_SHARED, TEAM_WARPS, WARP, threads_of
+from mujoco_compiled.code.gpu_kernel import TEAM_WARPS, WARP, most_shared, threads_of
 
 _TARGET = "__gpu$xla.gpu.ptx"
 
@@ -24,8 +24,8 @@ class GpuCall:
     def __init__(self, source: FunctionSource) -> None:
         self._source = source
         card: Any = jax.devices("gpu")[0]
-        self._capability, self._num_processors = card.compute_capability, int(card.core_count)
-        self._kernels: dict[int, Kernel] = {}
+        self._card, self._num_processors = card.compute_capability, int(card.core_count)
+        self._kernels: dict[bool, Kernel] = {}  # by whether a processor has more than one block
         self._many: Any = jax.custom_batching.custom_vmap(self._launch)
         self._many.def_vmap(self._on_another_axis)
 
@@ -59,18 +59,21 @@ class GpuCall:
 
     def _kernel(self, load: int) -> Kernel:
         """For this many environments to a processor of the card."""
-        few = (WARP // 2, WARP) if self._source.is_large else ()
-        load = next((most for most in few if load <= most), 2 * WARP)
-        if load not in self._kernels:
-            self._kernels[load] = self._source.kernel(self._capability, load)
-        return self._kernels[load]
+        if False not in self._kernels:
+            self._kernels[False] = self._source.kernel(self._card)
+        is_lean = 0 < self._kernels[False].num_envs < load
+        if is_lean not in self._kernels:
+            self._kernels[is_lean] = self._source.kernel(self._card, is_lean=is_lean)
+        return self._kernels[is_lean]
 
     def _grid(self, kernel: Kernel, num_envs: int) -> dict[str, np.int32]:
         """Enough blocks, and spread over all of the card's processors."""
         if kernel.num_envs:
             num_blocks = math.ceil(num_envs / kernel.num_envs)
             at_once = math.ceil(num_blocks / self._num_processors)
-            at_once = min(at_once, MOST_SHARED // kernel.shared_bytes, TEAM_WARPS)
+            # A block takes 1 KiB besides.
+            fitting = (most_shared(self._card) + 1024) // (kernel.shared_bytes + 1024)
+            at_once = min(at_once, fitting, TEAM_WARPS)
             first = {"grid_x": num_blocks, "block_x": TEAM_WARPS // at_once * WARP}
         else:
             num_warps = math.ceil(num_envs * threads_of(kernel.num_lanes) / WARP)

@@ -36,11 +36,14 @@ _TOGETHER = replace(
         any="call i1 @llvm.nvvm.barrier.cta.red.or.aligned.all",
     ),
 )
-# Warps of a processor that has registers for no more: of the blocks that compute routines together.
+# Eight warps of 255 registers a thread fill a processor.
 TEAM_WARPS = 8
 _WAIT = "call void @llvm.nvvm.barrier.cta.sync.all(i32 0)"
-# What the threads of a block can share, in bytes.
-MOST_SHARED = 227 * 1024 - 64
+# By compute capability, in KiB; 48 on every card.
+_MOST_SHARED = {
+    **{"7.5": 64, "8.0": 163, "8.6": 99, "8.7": 163, "8.9": 99},
+    **{"9.0": 227, "10.0": 227, "10.3": 227, "12.0": 99, "12.1": 99},
+}
 _GLOBAL = "ptr addrspace(1)"
 _LOCAL = "ptr addrspace(5)"
 _READ = "i32 @llvm.nvvm.read.ptx.sreg"
@@ -136,19 +139,31 @@ class Block:
     shared_bytes: int
 
 
-def block_of(program: Program, section_size: int | None, load: int) -> Block | None:
-    """None: each thread goes alone. load: how many environments a processor of the card has to move."""
-    memory = program.memory
+def block_of(program: Program, section_size: int | None, card: str, *, is_lean: bool) -> Block | None:
+    """None: each thread goes alone. card: its compute capability. is_lean: whether a processor has more than
+    one block."""
+    memory, most = program.memory, most_shared(card)
     if section_size is not None or not program.routines:
         return None
-    sizes = [size for size in (8, 16, WARP) if 4 * size * memory.num_shared <= MOST_SHARED]
-    if not sizes:
-        return None
-    num_envs = min((size for size in sizes if size >= load), default=sizes[-1])
-    # A second block would have no room besides.
-    room = MOST_SHARED // (4 * num_envs) - memory.num_shared if load <= num_envs else 0
-    near = max((end for end in (*memory.commons, memory.num_common) if end <= room), default=0)
-    return Block(num_envs, near, 4 * num_envs * (memory.num_shared + near))
+    found = list[Block]()
+    for num_envs in (WARP, WARP // 2, WARP // 4):
+        room = most // (4 * num_envs) - memory.num_shared
+        if room >= 0:
+            near = max((end for end in (*memory.commons, memory.num_common) if end <= room), default=0)
+            found.append(Block(num_envs, near, 4 * num_envs * (memory.num_shared + near)))
+    # Threads of a warp without an environment are idle: fewer only where they get something near.
+    best = next((block for block in found if block.near), next(iter(found), None))
+    if best is None or not is_lean:
+        return best
+    return Block(best.num_envs, 0, 4 * best.num_envs * memory.num_shared)
+
+
+def most_shared(card: str) -> int:
+    """What the threads of a block can share on cards of this compute capability, in bytes.
+
+    Source: NVIDIA, CUDA C++ Programming Guide, "Compute Capabilities"; less what kernels have besides.
+    """
+    return 1024 * _MOST_SHARED.get(card, 48) - 64
 
 
 def most_warps(program: Program, section_size: int | None) -> int:
@@ -157,11 +172,13 @@ def most_warps(program: Program, section_size: int | None) -> int:
     return 8 if stay_together and num_operations(program.statements) > _LARGE else 1
 
 
-def gpu_kernel(program: Program, name: str, section_size: int | None = None, load: int = WARP) -> str:
+def gpu_kernel(
+    program: Program, name: str, section_size: int | None = None, block: Block | None = None
+) -> str:
     """A module with the kernel `name(count, inputs..., outputs...)`, in the program's order.
 
     With a team, the first threads of a block have an environment each, and the others wait for routines; the
-    last array is room for the blocks' `common`. load: see `block_of`.
+    last array is room for the blocks' `common`. block: see `block_of`.
 
     count: a pointer to the number of environments, int32. An input or output is a pointer to float32
     [environments, size]. Blocks have up to `most_warps` warps, of whose threads each environment takes
@@ -169,7 +186,6 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None, loa
     """
     sizes, lanes, threads = array_sizes(program), program.num_lanes, threads_of(program.num_lanes)
     rows = _GpuRows(sizes, lanes, threads)
-    block = block_of(program, section_size, load)
     names = ("count", *sizes, *(["room"] if block else []))
     arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in names)
     environment = _environment(lanes, threads, block.num_envs if block else None)
@@ -251,9 +267,11 @@ def _serving(program: Program, block: Block, target: Target) -> list[str]:
     numbers = range(len(program.routines))
     lines = [
         "  %shared = getelementptr float, ptr addrspace(3) @room, i32 %in_block",
-        f"  %begin = mul i32 %block, {block.num_envs * program.memory.num_common}",
-        "  %place = add i32 %begin, %in_block",
-        f"  %common = getelementptr float, {_GLOBAL} %room, i32 %place",
+        "  %blocks_before = zext i32 %block to i64",
+        f"  %begin = mul i64 %blocks_before, {block.num_envs * program.memory.num_common}",
+        "  %own = zext i32 %in_block to i64",
+        "  %place = add i64 %begin, %own",
+        f"  %common = getelementptr float, {_GLOBAL} %room, i64 %place",
         # The first warp has part 0. Its threads without an environment leave: a warp waits in one place.
         f"  %of_others = sub i32 %thread, {WARP - block.num_envs}",
         f"  %own_part = udiv i32 %of_others, {block.num_envs}",

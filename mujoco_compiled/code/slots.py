@@ -107,7 +107,7 @@ def _grouped(steps: Sequence[Step]) -> list[list[Step]]:
     """Steps in groups that share a section: a sum, and before it its products that have no other use.
 
     Parted, they would not be fused, and the numbers would be others than in a program without slots. An
-    integer stays with what uses it: it has no slot.
+    integer stays with what uses it: it has no slot. Raises ValueError if it is another one there.
     """
     blocks, num_uses = _blocks(steps), Counter(one for step in steps for one in uses(step))
     summed = {
@@ -127,8 +127,22 @@ def _grouped(steps: Sequence[Step]) -> list[list[Step]]:
         ):
             late[step.target] = group
         else:
+            waiting = [one for several in late.values() for one in several]
+            if _changes_counts([step]) and any(
+                isinstance(one, Read) and one.space == "counts" for one in waiting
+            ):
+                raise ValueError("A list changes between where its length is read and where it is used.")
             found.append(group)
     return found
+
+
+def _changes_counts(steps: Sequence[Step]) -> bool:
+    return any(
+        one.space == "counts"
+        if isinstance(one, Store)
+        else isinstance(one, Loop | Branch | Each | Together) and _changes_counts(one.body)
+        for one in steps
+    )
 
 
 def _blocks(steps: Sequence[Step]) -> dict[int, int]:

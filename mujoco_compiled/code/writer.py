@@ -79,7 +79,7 @@ class Target:
     of pointers to what environments that are computed together have; tables: to the model's. shared, common:
     to these spaces, in which an environment's numbers are `stride` apart. team: None: the thread that calls a
     routine computes it. small: tables that lie nearer than `integers`.
-    near, after: the first numbers of `common` are in `shared`, after so many.
+    near: how many numbers of `common` are in `shared`, from number `after` on.
     """
 
     width: int
@@ -376,6 +376,7 @@ class Writer:
         self._num_alone -= alone
 
     def _branch(self, branch: Branch) -> None:
+        self._refuse_calls(branch)
         inside, after = self.name()[1:], self.name()[1:]
         condition, begun = self.operand(branch.condition), self.block
         known = dict(self._angles)
@@ -498,6 +499,7 @@ class Writer:
         return self.value(f"add nsw i64 {whole}, {place.offset}") if place.offset else whole
 
     def _each(self, each: Each) -> None:
+        self._refuse_calls(each)
         head, inside, after = (self.name()[1:] for _ in range(3))
         counter, next_count = f"%v{each.counter}", self.name()
         team = self.target.team if each.is_parted else None
@@ -529,6 +531,11 @@ class Writer:
         if team and each.meets:
             self.line(team.wait)
 
+    def _refuse_calls(self, step: Branch | Each | Together) -> None:
+        """Raises ValueError where a team's threads would wait for some that do not come."""
+        if self.target.team and _calls(step.body):
+            raise ValueError("A routine is called where threads go their own ways.")
+
     def _call(self, call: Call) -> None:
         """The other threads of a team wait for the routine's number."""
         team, name = self.target.team, routine_name(call.routine)
@@ -539,6 +546,7 @@ class Writer:
         self.line(f"call void {name}({seen(self.target)}, i64 0, i64 %num_parts)")
 
     def _together(self, together: Together) -> None:
+        self._refuse_calls(together)
         inside, after = self.name()[1:], self.name()[1:]
         known, condition = dict(self._angles), self.operand(together.condition)
         self.line(f"br i1 {self.any(condition)}, label %{inside}, label %{after}")

@@ -84,10 +84,8 @@ class ContactTables:
         loop.close.clear()
         for_each(self._program, len(loop.contacts), look)
         if loop.gap:
-            number = loop.close.length()
             # In place: a row goes to where it was, or before.
-            loop.close.clear()
-            for_each(self._program, number, look_again)
+            for_each(self._program, loop.close.restart(), look_again)
         for_each(self._program, loop.close.length(), touch)
 
     def _touch(self, loop: "_Loop", row: Place) -> None:

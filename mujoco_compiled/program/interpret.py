@@ -70,8 +70,8 @@ def interpret(
 
 @dataclass
 class _Interpreter:
-    """numbers: what lies in `numbers` and `shared`, by space and place. counts: by place. integers: by
-    variable."""
+    """numbers: what lies in `numbers`, `shared` and `common`, by space and place. counts: by place.
+    integers: by variable."""
 
     inputs: Mapping[str, Sequence[NDArray[np.floating]]]
     dtype: np.dtype[np.floating]

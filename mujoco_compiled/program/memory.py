@@ -133,8 +133,8 @@ class Integers:
     first: int
 
     def at(self, row: Index) -> Place:
-        if len(set(self.values)) == 1:
-            return Place(self.values[0])
+        if len(set(self.values)) <= 1:
+            return Place(self.values[0] if self.values else 0)
         return _integer(self.program, "integers", _placed(row) + self.first)
 
 
@@ -152,6 +152,16 @@ class Rows:
     def clear(self) -> None:
         """Empties it, unless it overflowed."""
         self._store_length(self._length(("beyond", self.most)))
+
+    def restart(self) -> Place:
+        """Empties it, and returns how long it was: a body may go through it and append what it keeps.
+
+        The length lies beside the list, as a program in sections reads an integer where it is used.
+        """
+        kept = Place(self.first + 2 + self.most)
+        self.program.statements.append(Store("counts", kept, self.length()))
+        self.clear()
+        return _integer(self.program, "counts", kept)
 
     def append(self, value: Index) -> Place:
         """Returns the value's row in the list."""
@@ -210,7 +220,7 @@ def rows(program: Program, name: str, most: int) -> Rows:
     memory = program.memory
     if name not in memory.arrays:
         memory.arrays[name] = memory.num_counts
-        memory.num_counts += 2 + most
+        memory.num_counts += 3 + most
         memory.lists[name] = most
         with program.before_loops():
             program.statements.append(Store("counts", Place(memory.arrays[name]), Place(0)))
@@ -283,7 +293,7 @@ class Table:
 
     def __init__(self, program: Program, name: str, groups: Sequence[Sequence[tuple[int, ...]]]) -> None:
         rows = [row for own in groups for row in own]
-        self._program, self._width = program, len(rows[0])
+        self._program, self._width = program, len(rows[0]) if rows else 0
         self._numbers = integers(program, name, [number for row in rows for number in row])
         self._lengths = integers(program, f"{name}: lengths", list(map(len, groups)))
         begins = [sum(map(len, groups[:number])) for number in range(len(groups))]

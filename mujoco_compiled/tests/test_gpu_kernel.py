@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from mujoco_compiled.code.gpu_kernel import MOST_SHARED, block_of, gpu_kernel, most_warps
+from mujoco_compiled.code.gpu_kernel import block_of, gpu_kernel, most_shared, most_warps
 from mujoco_compiled.program.arithmetic import Number, Vector, sine
 from mujoco_compiled.program.flow import repeat, where_needed
-from mujoco_compiled.program.memory import common_array, for_each, shared_array
+from mujoco_compiled.program.memory import common_array, for_each, shared_array, where_any
 from mujoco_compiled.program.program import Place, Program
 
 WAIT, ASK = "call void @llvm.nvvm.barrier", "call i1 @llvm.nvvm.barrier"
@@ -103,7 +103,8 @@ def program_with_a_routine(size: int) -> Program:
 
 def test_the_threads_of_a_block_share_a_routine() -> None:
     program = program_with_a_routine(100)
-    code = gpu_kernel(program, "run", load=32)
+    block = block_of(program, None, "9.0", is_lean=False)
+    code = gpu_kernel(program, "run", block=block)
     assert '"nvvm.maxntid"="256"' in code
     # All environments go through the loop as long as one of them does.
     assert code.count("call i1 @llvm.nvvm.vote.any.sync(i32 -1, i1") == 1
@@ -113,24 +114,36 @@ def test_the_threads_of_a_block_share_a_routine() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "load", "num_envs", "near"),
+    ("size", "card", "is_lean", "num_envs", "near"),
     [
-        (100, 32, 32, 4),  # all is near
-        (100, 16, 16, 4),
-        (100, 33, 32, 0),  # blocks have to share a processor
-        (1_815, 32, 32, 0),
-        (2_000, 32, 16, 0),
-        (2_000, 16, 16, 4),
+        (100, "9.0", False, 32, 4),  # all is near
+        (100, "9.0", True, 32, 0),  # blocks have to share a processor
+        (1_815, "9.0", False, 16, 4),  # with 32, nothing would be
+        (1_815, "9.0", True, 16, 0),
+        (1_815, "8.0", False, 16, 4),
+        (1_815, "8.9", False, 8, 4),
+        (3_165, "8.9", False, 8, 0),  # 99 KiB, less what kernels have besides, are 8 times 3,166 numbers
     ],
 )
-def test_a_block_has_as_many_environments_as_fit(size: int, load: int, num_envs: int, near: int) -> None:
-    block = block_of(program_with_a_routine(size), None, load)
+def test_a_block_has_as_many_environments_as_fit(
+    size: int, card: str, is_lean: bool, num_envs: int, near: int
+) -> None:
+    block = block_of(program_with_a_routine(size), None, card, is_lean=is_lean)
     assert block is not None
     assert (block.num_envs, block.near) == (num_envs, near)
-    assert block.shared_bytes == 4 * num_envs * (size + near) <= MOST_SHARED
+    assert block.shared_bytes == 4 * num_envs * (size + near) <= most_shared(card)
 
 
 def test_threads_go_alone_where_too_much_is_shared_or_nothing() -> None:
-    assert block_of(program_with_a_routine(8_000), None, 32) is None
+    assert block_of(program_with_a_routine(8_000), None, "9.0", is_lean=False) is None
     assert "vote" not in gpu_kernel(program_with_a_routine(8_000), "run").split("define ptx_kernel")[1]
-    assert block_of(program_of(1_000), None, 32) is None
+    assert block_of(program_of(1_000), None, "9.0", is_lean=False) is None
+
+
+def test_no_routine_is_called_where_threads_go_their_own_ways() -> None:
+    program = program_with_a_routine(100)
+    block = block_of(program, None, "9.0", is_lean=False)
+    (x,) = program.inputs("x", 1)
+    where_any(x < 0.0, lambda: program.routine("double", lambda: None))
+    with pytest.raises(ValueError, match="threads go their own ways"):
+        gpu_kernel(program, "run", block=block)

@@ -10,9 +10,10 @@ from mujoco_compiled.code.gpu_kernel import gpu_kernel
 from mujoco_compiled.code.machine_code import loaded, machine_code
 from mujoco_compiled.code.ptx import ptx
 from mujoco_compiled.code.slots import Section, slotted
-from mujoco_compiled.program.arithmetic import Number, cosine, dot, maximum, select, sine, total
+from mujoco_compiled.program.arithmetic import Number, Vector, cosine, dot, maximum, select, sine, total
 from mujoco_compiled.program.flow import repeat, where_needed
-from mujoco_compiled.program.program import Program
+from mujoco_compiled.program.memory import column, for_each, rows, where_any
+from mujoco_compiled.program.program import Place, Program
 from mujoco_compiled.substep import SubstepState, control_step, read_model
 from mujoco_compiled.tests.extra import extra
 from mujoco_compiled.tests.states import converged, of_all, states
@@ -106,6 +107,46 @@ def test_a_control_step_in_sections_has_the_same_bits(name: str) -> None:
     whole, parted = outputs(program, given, None), outputs(program, given, 250)
     for one, other in zip(whole, parted, strict=True):
         np.testing.assert_array_equal(one.view(np.uint32), other.view(np.uint32))
+
+
+def program_with_a_list(*, restarts: bool) -> Program:
+    """The sum of the weights below x, of those that are also below x / 2."""
+    program = Program()
+    (x,) = program.inputs("x", 1)
+    weights, chosen = column(program, "weights", [0.5, 2.0, 4.0]), rows(program, "chosen", 3)
+
+    def look(row: Place, _: Vector) -> Vector:
+        where_any(x > weights.at(row), lambda: chosen.append(row))
+        return []
+
+    def look_again(number: Place, _: Vector) -> Vector:
+        row = chosen.at(number)
+        where_any(x > 2.0 * weights.at(row), lambda: chosen.append(row))
+        return []
+
+    chosen.clear()
+    for_each(program, 3, look)
+    if restarts:
+        length = chosen.restart()
+    else:
+        length = chosen.length()
+        chosen.clear()
+    for_each(program, length, look_again)
+    y = for_each(program, chosen.length(), lambda row, now: [now[0] + weights.at(chosen.at(row))], [x])
+    program.output("y", [sine(sine(y[0]))])
+    return program
+
+
+@pytest.mark.parametrize("section_size", [None, 1, 5])
+def test_a_list_is_gone_through_and_filled_again_in_sections(section_size: int | None) -> None:
+    # Alone: 5 is above 0.5, 2 and 4, and 2.5 above 0.5 and 2.
+    (found,) = outputs(program_with_a_list(restarts=True), {"x": np.array([[5.0]], np.float32)}, section_size)
+    np.testing.assert_allclose(found, [[np.sin(np.sin(7.5))]], rtol=1e-5)
+
+
+def test_sections_refuse_a_length_that_is_read_before_its_list_changes() -> None:
+    with pytest.raises(ValueError, match="A list changes between"):
+        slotted(program_with_a_list(restarts=False), section_size=5)
 
 
 def test_slots_are_used_again() -> None:
