@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from typing import Any
+from urllib.parse import urlsplit
 
 import anyio
 import httpcore
@@ -24,7 +25,7 @@ from core.errors import Unavailable
 from core.news.addresses import AddressRefused, NameUnknown, Resolve, checked_address, resolve
 from core.news.channels import send_by_apprise
 from core.news.store import NewsStore
-from core.news.webhook import CLAIM, MOST_AT_ONCE, TEST, Due, Outcome, signed_headers
+from core.news.webhook import CLAIM, TEST, Due, Outcome, shown_url, signed_headers
 from core.settings import Networks
 
 log = structlog.get_logger()
@@ -118,9 +119,16 @@ def outcome_of(status: int, location: str = "") -> Outcome:
         error = "The receiver answered 410 Gone, so nothing more is sent to it."
         return Outcome(error=error, answer=status, is_final=True, stops=True)
     if 300 <= status < 400:
-        to = f" to {location[:200]}" if location else ""
-        return Outcome(error=f"It redirects{to}; redirects are not followed.", answer=status)
+        return Outcome(error=f"It redirects{_place_of(location)}; redirects are not followed.", answer=status)
     return Outcome(error=f"It answered {status}.", answer=status)
+
+
+def _place_of(location: str) -> str:
+    """Where a redirect leads, without what may be a secret; nothing for another path of the same host."""
+    try:
+        return f" to {shown_url(location)[:200]}" if urlsplit(location).scheme else ""
+    except ValueError:
+        return ""
 
 
 _HAPPENED: Mapping[str, str] = {
@@ -170,12 +178,15 @@ class Sender:
                 except Unavailable as error:
                     log.warning("news_waits", error=error.detail)
                     await anyio.sleep(_PAUSE_IN_OUTAGE_S)
+                except Exception:  # A defect must not end the reconciler, of which this is a thread.
+                    log.exception("news_crashed")
+                    await anyio.sleep(_PAUSE_IN_OUTAGE_S)
                 await anyio.sleep(self._every_s)
 
     async def _claimed(self) -> Sequence[Due]:
         while await to_thread.run_sync(self._store.spread_news):
             pass
-        busy = [key for key, number in self._of_one.items() if number >= MOST_AT_ONCE]
+        busy = [*self._of_one]  # A claim takes as many of one webhook as may be under way.
         claimed: list[Due] = []
         for is_http, most in ((True, _MOST_HTTP), (False, _MOST_APPRISE)):
             if (free := most - self._of_kind[is_http]) > 0:
@@ -212,6 +223,9 @@ class Sender:
                     return await to_thread.run_sync(self._store.note_outcome, due, outcome)
                 except Unavailable:
                     await anyio.sleep(_PAUSE_IN_OUTAGE_S)
+                except Exception:
+                    log.exception("news_not_noted", delivery=due.id)
+                    return None
 
 
 def _key(due: Due) -> tuple[str, str]:

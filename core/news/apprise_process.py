@@ -13,7 +13,7 @@ from ipaddress import ip_network
 from typing import Any, cast
 
 from core.news.addresses import SETTING, is_allowed
-from core.news.channels import APPRISE
+from core.news.channels import APPRISE, PARAMETERS
 from core.settings import Networks
 
 _LONGEST_S = 30
@@ -53,7 +53,12 @@ def main() -> None:
 
 def problem_of(kind: Any, url: str, asset: Any, order: dict[str, str]) -> str | None:
     """What is wrong with the address, or why the message could not be sent."""
-    parts = kind.parse_url(url)
+    parts: dict[str, Any] = kind.parse_url(url) or {}
+    for name in cast(
+        "dict[str, str]", parts.get("qsd", {})
+    ):  # As Apprise reads them, which is not as `check_url` does.
+        if name.lower() not in PARAMETERS:
+            return f"it has the parameter `{name[:40]}`, which is not allowed here"
     try:
         plugin = kind(asset=asset, **parts) if parts else None
     except TypeError:  # Apprise's word for an address that lacks something; its text may hold a secret.

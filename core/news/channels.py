@@ -44,7 +44,7 @@ APPRISE: Mapping[str, tuple[str, str]] = {
     "zulip": ("zulip", "NotifyZulip"),
 }
 # Others read files (`template`, `pgppub`), turn checks of certificates off, or store something.
-_PARAMETERS = frozenset(
+PARAMETERS = frozenset(
     [
         "api-version",
         "auth",
@@ -114,8 +114,11 @@ def check_url(url: str) -> str:
     if scheme not in APPRISE:
         kinds = ", ".join(sorted(APPRISE))
         raise BadAddress(f"begins with {scheme[:20] or 'no scheme'}; allowed are http, https, and {kinds}")
+    # Apprise takes what follows either of them for parameters, too.
+    if "#" in url or ";" in url:
+        raise BadAddress("has '#' or ';', which are not allowed here: write %23 or %3B")
     for name, _ in parse_qsl(parts.query, keep_blank_values=True):
-        if name.lower() not in _PARAMETERS:
+        if name.lower() not in PARAMETERS:
             raise BadAddress(f"has the parameter `{name[:40]}`, which is not allowed here")
     check_apprise(url)
     return url

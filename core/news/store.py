@@ -64,7 +64,7 @@ class NewsStore(Protocol):
     ) -> Sequence[Due]:
         """Take deliveries that are due; nobody else gets them for as long as CLAIM, and then somebody does.
 
-        At most four of one webhook at a time. is_http: those by HTTP; otherwise those by Apprise. but_not:
+        At most `most_at_once` of one webhook. is_http: those by HTTP; otherwise those by Apprise. but_not:
         webhooks left out, each by project and name.
         """
         ...

@@ -46,8 +46,6 @@ PAUSES = tuple(
 )
 # A sender that says nothing for this long after it has claimed a delivery is taken for dead.
 CLAIM = timedelta(seconds=45)
-# Of one webhook: while its receiver hangs, the others are served.
-MOST_AT_ONCE = 4
 # How long the log of deliveries reaches back.
 KEPT = timedelta(days=7)
 
@@ -167,6 +165,11 @@ def signed_headers(message: str, at: datetime, body: bytes, secret: str) -> dict
     signed = b".".join((message.encode(), timestamp.encode(), body))
     signature = base64.b64encode(hmac.digest(_key(secret), signed, hashlib.sha256)).decode()
     return {"webhook-id": message, "webhook-timestamp": timestamp, "webhook-signature": f"v1,{signature}"}
+
+
+def most_at_once(*, is_http: bool) -> int:
+    """Deliveries of one webhook that are under way: while its receiver hangs, the others are served."""
+    return 4 if is_http else 1
 
 
 def pause_after(attempt: int) -> timedelta | None:

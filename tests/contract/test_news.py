@@ -1,6 +1,6 @@
 """What the record promises of webhooks, news and deliveries. How they are sent: tests/faults/test_news.py."""
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from datetime import timedelta
 from functools import partial
 
@@ -21,10 +21,12 @@ from core.news.webhook import (
     PAUSES,
     Delivery,
     Due,
+    News,
     Outcome,
     Webhook,
     new_message,
     new_signing_secret,
+    wants,
 )
 from core.reasons import Reason
 from core.sweeps.sweep import SweepStatus
@@ -175,6 +177,33 @@ def test_a_webhook_has_four_deliveries_under_way_at_most(job_store: PostgresJobS
     assert sorted(due.webhook.name for due in first) == ["other", *["slow"] * 4]
     assert not job_store.claim_deliveries(10, is_http=True, but_not=[("default", "slow")])
     assert not job_store.claim_deliveries(10, is_http=False)
+
+
+def test_a_webhook_of_apprise_has_one_delivery_under_way(job_store: PostgresJobStore) -> None:
+    for name in ("slow", "other"):
+        job_store.add_webhook(webhook(name, url=SecretStr("ntfys://hooks.example/a"), secret=None), ANN)
+    for number in range(2):
+        job_store.save(cancelled(job_store.add(queued_job(number))))
+    job_store.spread_news()
+    claimed = job_store.claim_deliveries(10, is_http=False)
+    assert sorted(due.webhook.name for due in claimed) == ["other", "slow"]
+
+
+def test_a_webhook_that_is_removed_while_news_is_spread_takes_its_deliveries_with_it(
+    job_store: PostgresJobStore, database: Database, ended: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with ThreadPoolExecutor(1) as pool:
+        removals = list[Future[None]]()
+
+        def removed_meanwhile(webhook: Webhook, message: News) -> bool:
+            removals.append(pool.submit(job_store.remove_webhook, "default", "hook", ANN))
+            wait(removals, timeout=0.3)  # It waits for the end of the transaction.
+            return wants(webhook, message)
+
+        monkeypatch.setattr("core.adapters.postgres.news.wants", removed_meanwhile)
+        assert job_store.spread_news() == 1
+        removals[0].result()
+    assert database.count("deliveries") == 0
 
 
 def test_the_claim_of_a_dead_sender_runs_out(

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from ipaddress import ip_network
+from threading import Event
 
 import pytest
 from anyio.from_thread import start_blocking_portal
@@ -160,7 +161,8 @@ def test_a_redirect_is_not_followed(job_store: PostgresJobStore) -> None:
             add_webhook(job_store, receiver.url)
             end_a_job(job_store)
             (delivery,) = wait_for(job_store, has_failed_once)
-        assert delivery.error == f"It redirects to {inside.url}; redirects are not followed."
+        place = inside.url.removesuffix("/hook")
+        assert delivery.error == f"It redirects to {place}/…; redirects are not followed."
         assert inside.requests.empty()
 
 
@@ -262,6 +264,8 @@ def test_apprise_follows_no_redirect_to_another_private_address() -> None:
         "slack://T1JJ3T3L2/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ?template=/etc/passwd",
         "mailto://a:b@example.com?pgppub=/etc/passwd",
         "mailto://a:b@example.com?verify=no",
+        "discord://id/token/#x?template=/etc/passwd",
+        "mailto://a:b@example.com?to=x;verify=no",
         "slack://nonsense",
         "http://",
         "https://user:word@hooks.example",
@@ -275,6 +279,18 @@ def test_an_address_that_is_none_or_not_allowed_is_refused(url: str) -> None:
         check_url(url)
 
 
+@pytest.mark.parametrize(
+    ("url", "name"),
+    [
+        ("discord://id/token/#x?template=/etc/passwd", "template"),
+        ("mailto://a:b@example.com?to=x;verify=no", "verify"),
+    ],
+)
+def test_apprise_itself_reads_no_parameter_that_is_not_allowed(url: str, name: str) -> None:
+    problem = send_by_apprise(url, "title", "text", ())
+    assert problem == f"it has the parameter `{name}`, which is not allowed here"
+
+
 def test_a_known_address_is_taken() -> None:
     assert check_url("slack://T1JJ3T3L2/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ")
 
@@ -283,6 +299,31 @@ def test_what_an_answer_means() -> None:
     assert outcome_of(202).error is None
     assert outcome_of(410).stops
     assert not outcome_of(503).is_final
+
+
+@pytest.mark.parametrize("location", ["", "/secret", "http://[secret"])
+def test_a_redirect_to_no_whole_address_says_nothing_of_it(location: str) -> None:
+    assert outcome_of(302, location).error == "It redirects; redirects are not followed."
+
+
+def test_a_defect_of_the_record_does_not_end_the_sender(
+    job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.news._PAUSE_IN_OUTAGE_S", 0.05)
+    spread, called = job_store.spread_news, Event()
+
+    def broken() -> int:
+        monkeypatch.setattr(job_store, "spread_news", spread)
+        called.set()
+        raise ValueError("a defect")
+
+    monkeypatch.setattr(job_store, "spread_news", broken)
+    with receiving() as receiver, sending(job_store):
+        add_webhook(job_store, receiver.url)
+        end_a_job(job_store)
+        receiver.next()
+        wait_for(job_store, is_delivered)
+    assert called.is_set()
 
 
 def test_the_signature_is_that_of_the_specification() -> None:

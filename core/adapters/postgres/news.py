@@ -39,18 +39,19 @@ from core.news.webhook import (
     CLAIM,
     KEPT,
     MAX_WEBHOOKS,
-    MOST_AT_ONCE,
     Delivery,
     Due,
     News,
     Outcome,
     Webhook,
+    most_at_once,
     pause_after,
     wants,
 )
 
 _SHOWN = [column for column in deliveries.c if column.name not in ("document", "project")]
-_IS_DUE = and_(deliveries.c.status == "waiting", deliveries.c.next_attempt_at <= NOW)
+# `NOW` changes within a statement, and so cannot bound the scan of an index.
+_IS_DUE = and_(deliveries.c.status == "waiting", deliveries.c.next_attempt_at <= func.statement_timestamp())
 _TELLS = or_(
     webhooks.c.owner.is_(None),
     exists().where(
@@ -145,6 +146,8 @@ class NewsQueries(Session):
             if not found:
                 return 0
             known = select(webhooks).where(webhooks.c.project.in_({row.project for row in found}), _TELLS)
+            # Who removes one waits until its deliveries are there, and removes them, too.
+            known = known.with_for_update(read=True, key_share=True)
             listeners = [_webhook(row) for row in connection.execute(known)]
             new = [
                 {**_delivery_values(webhook, message), "created_at": row.created_at}
@@ -163,7 +166,11 @@ class NewsQueries(Session):
     ) -> Sequence[Due]:
         place = (deliveries.c.project == webhooks.c.project) & (deliveries.c.webhook == webhooks.c.name)
         of_one = select(deliveries.c.id, deliveries.c.next_attempt_at).where(place, _IS_DUE)
-        of_one = of_one.order_by(deliveries.c.next_attempt_at).limit(MOST_AT_ONCE).lateral("of_one")
+        of_one = (
+            of_one.order_by(deliveries.c.next_attempt_at)
+            .limit(most_at_once(is_http=is_http))
+            .lateral("of_one")
+        )
         due = select(of_one.c.id).select_from(webhooks.join(of_one, true()))
         due = due.where(webhooks.c.secret.is_not(None) == is_http).order_by(of_one.c.next_attempt_at)
         if but_not:
