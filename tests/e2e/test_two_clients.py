@@ -53,7 +53,7 @@ class Either:
         portal = self._portal
         if portal is None:
             return method
-        if name in ("list", "events", "logs", "sweeps", "models", "workers", "audit"):
+        if name in ("list", "events", "logs", "sweeps", "models", "workers", "audit", "deliveries"):
             return lambda *args, **more: _items(method(*args, **more), portal)
 
         async def call(args: tuple[Any, ...], more: dict[str, Any]) -> Any:
@@ -94,6 +94,7 @@ def test_every_method_does_the_same(stack: Stack, client: Either, tmp_path: Path
     _bodies(stack, client, tmp_path)
     _sweeps(stack, client)
     _accounts(client)
+    _webhooks(client)
     assert client.health() == {"status": "ok"}
     assert client.called == METHODS - {"close"}  # the fixture calls it
 
@@ -254,6 +255,20 @@ def _accounts(client: Either) -> None:
     assert [project.name for project in client.projects()] == ["default"]
     assert all(slots.queued >= 0 for slots in client.slots().items)
     assert client.usage().until >= client.usage().since
+
+
+def _webhooks(client: Either) -> None:
+    with pytest.raises(Rejected, match="public"):
+        client.add_webhook("lab", "http://127.0.0.1:1/")
+    made = client.add_webhook("lab", "https://hooks.example.org/gaitway")
+    assert [found.name for found in client.webhooks()] == ["lab"]
+    assert made.secret is not None
+    sent = client.test_webhook("lab")
+    assert [found.id for found in client.deliveries("lab")] == [sent.id]
+    job_id = client.submit(environment="ant").id
+    assert list(client.job_deliveries(job_id)) == []
+    client.delete_webhook("lab")
+    assert list(client.webhooks()) == []
 
 
 @pytest.mark.parametrize("kind", [Client, AsyncClient])

@@ -164,11 +164,13 @@ def test_buffers_of_warp_hold_a_rodent_that_falls_anyhow() -> None:
             assert data.nefc < room.njmax
 
 
-def test_a_gpu_gets_warp_for_it_and_the_host_without_warp(monkeypatch: pytest.MonkeyPatch) -> None:
-    for is_there, engine in ((True, "warp"), (False, "native")):
-        monkeypatch.setattr(
-            availability, "is_installed", lambda name, found=is_there: name != "warp" or found
-        )
+def test_a_gpu_gets_the_fastest_that_is_there_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    for missing, engine in (
+        (set[str](), "compiled"),
+        ({"compiled"}, "warp"),
+        ({"compiled", "warp"}, "native"),
+    ):
+        monkeypatch.setattr(availability, "is_installed", lambda name, gone=missing: name not in gone)
         assert choose("auto", "gpu", 2048, catalog.find("rodent").on_a_gpu).name == engine
 
 
