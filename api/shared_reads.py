@@ -97,12 +97,25 @@ class Turns:
 
     def now(self, workers: Sequence[WorkerInfo]) -> Mapping[str, TurnView]:
         """By job. Where ten thousand wait it takes a tenth of a second, so it is not done at each request."""
-        with self._lock:
-            if time.monotonic() >= self._until:
-                began = time.monotonic()
-                self._found = self._forecast(workers)
-                self._until = time.monotonic() + max(_TURNS_FOR_S, 20 * (time.monotonic() - began))
-            return self._found
+        # Only the first readers of all wait for one who finds it out; later ones get what was known before.
+        if time.monotonic() >= self._until and self._lock.acquire(blocking=self._until == 0.0):
+            try:
+                if time.monotonic() >= self._until:
+                    self._look(workers)
+            finally:
+                self._lock.release()
+        return self._found
+
+    def _look(self, workers: Sequence[WorkerInfo]) -> None:
+        """Find it out anew; in an outage keep what was known, and do not try again at once."""
+        began = time.monotonic()
+        try:
+            self._found = self._forecast(workers)
+        except Unavailable as error:
+            log.warning("turns_wait", error=error.detail)
+            self._until = time.monotonic() + _PAUSE_IN_OUTAGE_S
+        else:
+            self._until = time.monotonic() + max(_TURNS_FOR_S, 20 * (time.monotonic() - began))
 
     def _forecast(self, workers: Sequence[WorkerInfo]) -> Mapping[str, TurnView]:
         now, found = self._store.now(), forecasts_of(self._store.turn_facts(), workers)

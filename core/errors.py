@@ -356,6 +356,14 @@ class TooManyWebhooks(Conflict):
         )
 
 
+class AddressesWait(Unavailable):
+    code = "addresses-wait"
+    title = "Too many addresses are being looked at"
+
+    def __init__(self) -> None:
+        super().__init__("Apprise looks at other addresses just now; ask again later.")
+
+
 class LastAdmin(Conflict):
     code = "last-admin"
     title = "No admin would be left"

@@ -18,6 +18,7 @@ from api.views import Listing, answer
 from core.accounts.principal import NAME
 from core.documents import Strict
 from core.errors import (
+    AddressesWait,
     JobNotFound,
     Problem,
     ProjectNotFound,
@@ -33,6 +34,7 @@ from core.news.store import DeliveryPage
 from core.news.webhook import (
     ENDS,
     EVENTS,
+    MAX_WEBHOOKS,
     TEST,
     JobEvent,
     SweepEvent,
@@ -105,6 +107,7 @@ def list_webhooks(project: ProjectName, service: ServiceDep) -> Listing[WebhookV
         ProjectNotFound,
         WebhookExists,
         TooManyWebhooks,
+        AddressesWait,
         RecordsUnavailable,
     ),
 )
@@ -116,7 +119,9 @@ def add_webhook(
     The answer has the secret that signs the messages, which nobody can ask for again.
     """
     wanted = parse(body, _NEW_WEBHOOK)
-    service.store.webhooks(project)  # Before what takes long: there may be no such project.
+    # Before what takes long: there may be no such project, or no room in it.
+    if len(service.store.webhooks(project)) >= MAX_WEBHOOKS:
+        raise TooManyWebhooks(project, MAX_WEBHOOKS)
     _check_address(wanted.url, service.settings.news_networks)
     webhook = Webhook(
         project=project,
@@ -135,7 +140,7 @@ def add_webhook(
 
 
 def _check_address(url: str, allowed: Networks) -> None:
-    """Raises Rejected. A name that cannot be looked up now may be one later."""
+    """Raises Rejected, AddressesWait. A name that cannot be looked up now may be one later."""
     try:
         check_url(url)
         parts = urlsplit(url)

@@ -12,11 +12,13 @@ import sys
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
+from threading import BoundedSemaphore
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
 import httpx
 
+from core.errors import AddressesWait
 from core.installation import to_install
 from core.settings import Networks
 
@@ -86,6 +88,8 @@ PARAMETERS = frozenset(
 _ROOT = Path(__file__).resolve().parents[2]
 # To import Apprise takes a second, and a silent mail server is given up after ten.
 _APPRISE_S = 25.0
+# Each look takes a process of 70 MB, and who waits for his turn a thread of the API.
+_looking, _WAIT_S = BoundedSemaphore(2), 2.0
 
 
 class BadAddress(ValueError):
@@ -93,7 +97,7 @@ class BadAddress(ValueError):
 
 
 def check_url(url: str) -> str:
-    """The same address. Raises BadAddress.
+    """The same address. Raises BadAddress, AddressesWait.
 
     Apprise itself looks at an address of its own: that takes a second.
     """
@@ -125,8 +129,13 @@ def check_url(url: str) -> str:
 
 
 def check_apprise(url: str) -> None:
-    """Raises BadAddress where Apprise does not understand the address."""
-    problem = _ask(url)
+    """Raises BadAddress where Apprise does not understand the address; AddressesWait."""
+    if not _looking.acquire(timeout=_WAIT_S):
+        raise AddressesWait
+    try:
+        problem = _ask(url)
+    finally:
+        _looking.release()
     if problem is not None:
         raise BadAddress(f"cannot be used: {problem}")
 

@@ -1,9 +1,13 @@
 """What `GET /jobs` tells of a job that waits: for a worker that is not there, or for the end of a pause."""
 
+from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
+from typing import NoReturn
 
 import pytest
 
+from api.shared_reads import Turns
+from core.errors import RecordsUnavailable
 from core.jobs.queue import queue_names
 from core.jobs.workers import WorkerInfo
 from tests.api.conftest import NOON, Stack
@@ -69,3 +73,24 @@ def test_a_job_says_how_many_are_before_it(stack: Stack) -> None:
     assert listed == {first: 0, second: 1}
     stack.http.post(f"/jobs/{first}/cancel")
     assert stack.http.get(f"/jobs/{first}").json()["turn"] is None
+
+
+def test_turns_are_those_known_before_while_they_are_looked_up_or_the_record_is_away(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    announce(stack, "cpu")
+    stack.http.post("/jobs", json=_ANT)
+    turns, workers = Turns(stack.store), stack.store.workers()
+    known = turns.now(workers)
+    assert len(known) == 1
+    meanwhile = list[object]()
+
+    def away() -> NoReturn:
+        with ThreadPoolExecutor(1) as pool:
+            meanwhile.append(pool.submit(turns.now, workers).result(timeout=5))
+        raise RecordsUnavailable("It is away.")
+
+    monkeypatch.setattr(stack.store, "turn_facts", away)
+    turns._until = 1.0  # pyright: ignore[reportPrivateUsage] # Long ago.
+    assert [turns.now(workers) for _ in range(3)] == [known] * 3
+    assert meanwhile == [known]  # Asked once.

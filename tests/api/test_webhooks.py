@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from ipaddress import ip_network
+from threading import BoundedSemaphore
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ from fastapi import FastAPI
 
 from core.accounts.principal import TokenScope
 from core.jobs.job import Job
+from core.news import channels
 from core.news.webhook import ENDS, MAX_WEBHOOKS, Outcome
 from tests.api.accounts import Lab, opened
 from tests.api.conftest import Stack
@@ -89,12 +91,22 @@ def test_an_address_of_apprise_has_no_secret(stack: Stack) -> None:
     assert problem(refused, 422, "invalid-request")["errors"][0]["pointer"] == "/secret"
 
 
+def test_apprise_looks_at_few_addresses_at_once(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("core.news.channels._WAIT_S", 0.0)
+    monkeypatch.setattr("core.news.channels._looking", BoundedSemaphore(1))
+    slack = {"name": "hook", "url": "slack://T1JJ3T3L2/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ"}
+    with channels._looking:  # pyright: ignore[reportPrivateUsage]
+        problem(stack.http.post(HOOKS, json=slack), 503, "addresses-wait")
+    assert stack.http.post(HOOKS, json=slack).status_code == 201
+
+
 def test_a_project_has_so_many_of_different_names(stack: Stack) -> None:
     add(stack)
     problem(stack.http.post(HOOKS, json={"name": "hook", "url": PUBLIC}), 409, "webhook-exists")
     for number in range(1, MAX_WEBHOOKS):
         add(stack, name=f"hook-{number}")
-    problem(stack.http.post(HOOKS, json={"name": "more", "url": PUBLIC}), 409, "too-many-webhooks")
+    for url in (PUBLIC, "slack://nonsense"):  # It does not even look at the address.
+        problem(stack.http.post(HOOKS, json={"name": "more", "url": url}), 409, "too-many-webhooks")
     problem(stack.http.get("/projects/none/webhooks"), 404, "project-not-found")
     problem(stack.http.delete(f"{HOOKS}/none"), 404, "webhook-not-found")
     assert stack.http.delete(f"{HOOKS}/hook").status_code == 204

@@ -10,6 +10,7 @@ from pydantic_core import from_json
 
 from core.accounts.principal import Role
 from core.accounts.store import Actor, User
+from core.adapters.postgres.news import forget_old
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import ProjectNotFound, StaleJob, TooManyWebhooks, WebhookExists, WebhookNotFound
 from core.jobs.job import Job
@@ -280,12 +281,16 @@ def test_a_project_has_so_many_webhooks_each_with_its_name(
     assert "hooks.example" not in str(database.read("SELECT details FROM audit"))
 
 
-def test_old_deliveries_are_forgotten(job_store: PostgresJobStore, database: Database, ended: Job) -> None:
+def test_old_deliveries_are_forgotten(
+    job_store: PostgresJobStore, database: Database, ended: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("core.adapters.postgres.store.forget_old", partial(forget_old, limit=1))
+    job_store.save(cancelled(job_store.add(queued_job(1))))
     job_store.spread_news()
-    (due,) = claim(job_store)
-    job_store.note_outcome(due, Outcome(answer=200))
+    for due in claim(job_store):
+        job_store.note_outcome(due, Outcome(answer=200))
     job_store.tidy()
-    assert database.count("deliveries") == 1
+    assert database.count("deliveries") == 2
     database.change("UPDATE deliveries SET ended_at = now() - interval '8 days'")
     job_store.tidy()
     assert database.count("deliveries") == 0

@@ -218,9 +218,11 @@ def add(connection: Connection, message: News | None) -> None:
         connection.execute(insert(news).values({**values, "created_at": NOW}))
 
 
-def forget_old(connection: Connection) -> None:
-    """Remove deliveries that ended long ago."""
-    connection.execute(delete(deliveries).where(deliveries.c.ended_at < NOW - KEPT))
+def forget_old(connection: Connection, limit: int = 5000) -> bool:
+    """Remove deliveries that ended long ago, at most so many; whether there may be more."""
+    old = select(deliveries.c.id).where(deliveries.c.ended_at < func.statement_timestamp() - KEPT)
+    gone = connection.execute(delete(deliveries).where(deliveries.c.id.in_(old.limit(limit))))
+    return gone.rowcount == limit
 
 
 def _stop(connection: Connection, webhook: Webhook, why: str | None) -> None:

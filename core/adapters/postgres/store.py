@@ -57,8 +57,12 @@ class PostgresJobStore(
         with self._transaction() as connection:
             connection.execute(delete(idempotency_keys).where(idempotency_keys.c.forgotten_at <= NOW))
             connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
-            forget_old(connection)
             fold(connection)
+        # A transaction each: there may be more than one statement has time for.
+        is_more = True
+        while is_more:
+            with self._transaction() as connection:
+                is_more = forget_old(connection)
 
     def ping(self) -> None:
         with self._statements() as connection:
