@@ -16,8 +16,6 @@ from threading import BoundedSemaphore
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
-import httpx
-
 from core.errors import AddressesWait
 from core.installation import to_install
 from core.settings import Networks
@@ -103,6 +101,8 @@ def check_url(url: str) -> str:
     """
     if len(url) > LONGEST_URL or not url.isprintable() or " " in url:
         raise BadAddress(f"has to be an address of at most {LONGEST_URL:,} characters without spaces")
+    import httpx  # The API is smaller without it.
+
     try:
         parts = urlsplit(url)
         scheme, host, user = parts.scheme, parts.hostname, parts.username
