@@ -66,7 +66,7 @@ class FunctionSource:
             code = ptx(gpu_kernel(program, FUNCTION, section_size, block), compute_capability)
             lanes, warps = program.num_lanes, most_warps(program, section_size)
             of_block = [block.num_envs, block.shared_bytes] if block else [0, 0]
-            sizes = [lanes, warps, *of_block, program.memory.num_common]
+            sizes = [lanes, warps, *of_block, program.memory.sizes["common"]]
             return f"{' '.join(map(str, sizes))} {code}".encode()
 
         described = f"{self.described} for {compute_capability}{' in lean blocks' if is_lean else ''}"

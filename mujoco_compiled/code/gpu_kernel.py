@@ -147,15 +147,15 @@ def block_of(program: Program, section_size: int | None, card: str, *, is_lean: 
         return None
     found = list[Block]()
     for num_envs in (WARP, WARP // 2, WARP // 4):
-        room = most // (4 * num_envs) - memory.num_shared
+        room = most // (4 * num_envs) - memory.sizes["shared"]
         if room >= 0:
-            near = max((end for end in (*memory.commons, memory.num_common) if end <= room), default=0)
-            found.append(Block(num_envs, near, 4 * num_envs * (memory.num_shared + near)))
+            near = max((end for end in (*memory.commons, memory.sizes["common"]) if end <= room), default=0)
+            found.append(Block(num_envs, near, 4 * num_envs * (memory.sizes["shared"] + near)))
     # Threads of a warp without an environment are idle: fewer only where they get something near.
     best = next((block for block in found if block.near), next(iter(found), None))
     if best is None or not is_lean:
         return best
-    return Block(best.num_envs, 0, 4 * best.num_envs * memory.num_shared)
+    return Block(best.num_envs, 0, 4 * best.num_envs * memory.sizes["shared"])
 
 
 def most_shared(card: str) -> int:
@@ -258,7 +258,7 @@ def _in_team(program: Program, block: Block) -> Target:
         stride=block.num_envs,
         team=Team(wait=_WAIT, begin="call void @begin(i32", any=any_runs),
         near=block.near,
-        after=program.memory.num_shared,
+        after=program.memory.sizes["shared"],
     )
 
 
@@ -268,7 +268,7 @@ def _serving(program: Program, block: Block, target: Target) -> list[str]:
     lines = [
         "  %shared = getelementptr float, ptr addrspace(3) @room, i32 %in_block",
         "  %blocks_before = zext i32 %block to i64",
-        f"  %begin = mul i64 %blocks_before, {block.num_envs * program.memory.num_common}",
+        f"  %begin = mul i64 %blocks_before, {block.num_envs * program.memory.sizes['common']}",
         "  %own = zext i32 %in_block to i64",
         "  %place = add i64 %begin, %own",
         f"  %common = getelementptr float, {_GLOBAL} %room, i64 %place",

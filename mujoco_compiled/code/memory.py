@@ -27,11 +27,11 @@ def foreign_tables(memory: Memory) -> Iterator[str]:
 
 def memory_lines(memory: Memory, target: Target) -> Iterator[str]:
     """The begin of a function that makes room for what an environment, or several together, have."""
-    yield from _room("numbers", target.number, memory.num_numbers, target.own)
+    yield from _room("numbers", target.number, memory.sizes["numbers"], target.own)
     yield from _room("counts", "i32", memory.num_counts, target.own)
     if target.team is None:
-        yield from _room("shared", target.number, memory.num_shared, target.shared)
-        yield from _room("common", target.number, memory.num_common, target.common)
+        yield from _room("shared", target.number, memory.sizes["shared"], target.shared)
+        yield from _room("common", target.number, memory.sizes["common"], target.common)
 
 
 def _room(name: str, element: str, number: int, kind: str) -> Iterator[str]:

@@ -8,13 +8,23 @@ nothing, as a contact without stiffness does.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mujoco_compiled.program.arithmetic import Number, Vector, clip, total
-from mujoco_compiled.program.program import Bound, Each, Place, Program, Read, Space, Store, Symbol, Together
+from mujoco_compiled.program.program import (
+    Bound,
+    Each,
+    OwnSpace,
+    Place,
+    Program,
+    Read,
+    Space,
+    Store,
+    Symbol,
+    Together,
+)
 
 Index = Place | int
 
@@ -26,7 +36,7 @@ class Array:
     program: Program
     first: int
     width: int
-    space: Literal["numbers", "shared", "common"] = "numbers"
+    space: OwnSpace = "numbers"
 
     def read(self, row: Index, places: Sequence[int]) -> Vector:
         """The numbers at these places of a row."""
@@ -187,32 +197,15 @@ class Rows:
         return _integer(self.program, "counts", _placed(row) + (self.first + 1))
 
 
-def array(program: Program, name: str, rows: int, width: int = 1) -> Array:
+def array(program: Program, name: str, rows: int, width: int = 1, space: OwnSpace = "numbers") -> Array:
     """The array of this name; the first call makes it."""
     memory = program.memory
     if name not in memory.arrays:
-        memory.arrays[name] = memory.num_numbers
-        memory.num_numbers += rows * width
-    return Array(program, memory.arrays[name], width)
-
-
-def shared_array(program: Program, name: str, rows: int, width: int = 1) -> Array:
-    """An array that routines see, too, and reach soonest; the first call of this name makes it."""
-    memory = program.memory
-    if name not in memory.arrays:
-        memory.arrays[name] = memory.num_shared
-        memory.num_shared += rows * width
-    return Array(program, memory.arrays[name], width, "shared")
-
-
-def common_array(program: Program, name: str, rows: int, width: int = 1) -> Array:
-    """An array that routines see, too; the first call of this name makes it."""
-    memory = program.memory
-    if name not in memory.arrays:
-        memory.arrays[name] = memory.num_common
-        memory.commons.append(memory.num_common)
-        memory.num_common += rows * width
-    return Array(program, memory.arrays[name], width, "common")
+        memory.arrays[name] = memory.sizes[space]
+        memory.sizes[space] += rows * width
+        if space == "common":
+            memory.commons.append(memory.arrays[name])
+    return Array(program, memory.arrays[name], width, space)
 
 
 def rows(program: Program, name: str, most: int) -> Rows:

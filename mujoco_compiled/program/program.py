@@ -69,7 +69,8 @@ class Branch:
 # Where numbers lie: `constants` and `integers` are the model's, the others can be written. An environment has
 # its own `numbers`, and its own `shared` and `common`, which routines see: the first is small and nearer. An
 # integer of `counts` is one for all environments that are computed together.
-Space = Literal["numbers", "shared", "common", "counts", "constants", "integers"]
+OwnSpace = Literal["numbers", "shared", "common"]
+Space = OwnSpace | Literal["counts", "constants", "integers"]
 # What a read makes of an integer of `counts`: the lesser of it and a bound, or 0 unless it is beyond that.
 Bound = tuple[Literal["most", "beyond"], int]
 
@@ -163,11 +164,15 @@ class Together:
 class Call:
     """Computes a routine of the program, which works on `shared`, `common` and the model's numbers alone.
 
-    A GPU has several threads of an environment for it. uses: no variables.
+    A GPU has several threads of an environment for it.
     """
 
     routine: str
-    uses: Sequence[int] = ()
+
+    @property
+    def uses(self) -> Sequence[int]:
+        """The variables that it needs: none."""
+        return ()
 
 
 Statement = Assign | Loop | Branch | Read | Store | Each | Together | Call
@@ -183,13 +188,11 @@ class Output:
 
 @dataclass
 class Memory:
-    """num_numbers, num_shared, num_common, num_counts: how much of these spaces there is. arrays: where
-    arrays, lists and columns begin, by name. lists: how long lists may get. constants, integers: what lies
-    there. tables, commons: where those of `integers` and the arrays of `common` begin."""
+    """sizes: how many numbers an environment has, by space. num_counts: how much of `counts` there is.
+    arrays: where arrays, lists and columns begin, by name. lists: how long lists may get. constants,
+    integers: what lies there. tables, commons: where those of `integers` and the arrays of `common` begin."""
 
-    num_numbers: int = 0
-    num_shared: int = 0
-    num_common: int = 0
+    sizes: dict[OwnSpace, int] = field(default_factory=lambda: {"numbers": 0, "shared": 0, "common": 0})
     num_counts: int = 0
     arrays: dict[str, int] = field(default_factory=dict[str, int])
     lists: dict[str, int] = field(default_factory=dict[str, int])

@@ -6,8 +6,10 @@ lies behind its end changes, and is never used.
 Source: Featherstone (2008), section 6.5.
 """
 
+from functools import partial
+
 from mujoco_compiled.program.arithmetic import Number, Vector, subtract
-from mujoco_compiled.program.memory import Array, Table, array, for_each, integers, shared_array
+from mujoco_compiled.program.memory import Array, Table, array, for_each, integers
 from mujoco_compiled.program.program import Place
 from mujoco_compiled.smooth.factor import factorize, solve
 from mujoco_compiled.smooth.tree_loops import FEW_DOFS, TreeLoops
@@ -29,7 +31,7 @@ class MatrixLoops:
             (i, j): _BLOCK * begins[i] + place for i, row in enumerate(rows) for place, j in enumerate(row)
         }
         # A routine solves: the threads that share it see what it works on.
-        made = shared_array if program.has_team and self._size > FEW_DOFS else array
+        made = partial(array, space="shared" if program.has_team and self._size > FEW_DOFS else "numbers")
         self._blocks = made(program, "matrix", sum(num_blocks), _BLOCK)
         self._entries = self._blocks.flat()
         self._right = made(program, "right side", self._size)

@@ -19,7 +19,6 @@ from mujoco_compiled.program.memory import (
     Table,
     array,
     column,
-    common_array,
     for_each,
     integers,
 )
@@ -56,7 +55,7 @@ class TreeLoops:
         self._is_tiny, self._is_small = size <= FEW_DOFS, size <= _MANY_DOFS
         self._has_team = program.has_team and not self._is_tiny
         # What routines work on, if there are any.
-        self.room = partial(common_array if self._has_team else array, program)
+        self.room = partial(array, program, space="common" if self._has_team else "numbers")
         self._above = integers(program, "rows above", [_above(tree, i) for i in range(size)])
         self._before_joint = integers(program, "rows before joints", _before_joints(tree))
         self._body_rows = integers(program, "rows of bodies", self.rows)

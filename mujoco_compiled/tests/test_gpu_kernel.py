@@ -7,7 +7,7 @@ import pytest
 from mujoco_compiled.code.gpu_kernel import block_of, gpu_kernel, most_shared, most_warps
 from mujoco_compiled.program.arithmetic import Number, Vector, sine
 from mujoco_compiled.program.flow import repeat, where_needed
-from mujoco_compiled.program.memory import common_array, for_each, shared_array, where_any
+from mujoco_compiled.program.memory import array, for_each, where_any
 from mujoco_compiled.program.program import Place, Program
 
 WAIT, ASK = "call void @llvm.nvvm.barrier", "call i1 @llvm.nvvm.barrier"
@@ -81,7 +81,7 @@ def test_a_program_in_sections_goes_alone() -> None:
 def program_with_a_routine(size: int) -> Program:
     """The routine doubles numbers that all threads see, in a loop that environments leave one by one."""
     program = Program(has_team=True)
-    held, far = shared_array(program, "held", size), common_array(program, "far", 4)
+    held, far = array(program, "held", size, space="shared"), array(program, "far", 4, space="common")
 
     def add(row: Place, _: Vector) -> Vector:
         held.add(row, far.row(row))

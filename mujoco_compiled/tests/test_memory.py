@@ -10,12 +10,10 @@ from mujoco_compiled.program.memory import (
     Table,
     array,
     column,
-    common_array,
     for_each,
     integers,
     overflow,
     rows,
-    shared_array,
     where_any,
 )
 from mujoco_compiled.program.program import Place, Program
@@ -122,8 +120,8 @@ def test_each_environment_reads_a_row_of_its_own() -> None:
 def summed(program: Program, x: Number) -> Vector:
     """A routine called twice: sums of groups of rows, and halves of three rows, carried from row to row."""
     groups = Table(program, "groups", [[(0, 2)], [], [(1, 1), (0, 0)]])
-    given, found = shared_array(program, "given", 3), common_array(program, "found", 3)
-    pairs = common_array(program, "pairs", 3, 2)
+    given, found = array(program, "given", 3, space="shared"), array(program, "found", 3, space="common")
+    pairs = array(program, "pairs", 3, 2, space="common")
 
     def work() -> None:
         def group(number: Place, _: Vector) -> Vector:

@@ -146,7 +146,7 @@ class NewsQueries(Session):
             if not found:
                 return 0
             known = select(webhooks).where(webhooks.c.project.in_({row.project for row in found}), _TELLS)
-            # Who removes one waits until its deliveries are there, and removes them, too.
+            # A removal waits until these deliveries are there, and removes them, too.
             known = known.with_for_update(read=True, key_share=True)
             listeners = [_webhook(row) for row in connection.execute(known)]
             new = [
@@ -175,7 +175,7 @@ class NewsQueries(Session):
         due = due.where(webhooks.c.secret.is_not(None) == is_http).order_by(of_one.c.next_attempt_at)
         if but_not:
             due = due.where(not_(tuple_(webhooks.c.project, webhooks.c.name).in_([*but_not])))
-        # Who waits for the lock finds a row that is due no more, and leaves it out.
+        # A sender that waits for the lock finds that the row is no longer due, and leaves it out.
         locked = select(deliveries.c.id).where(deliveries.c.id.in_(due.limit(limit)), _IS_DUE)
         claimed = (
             update(deliveries)

@@ -336,7 +336,7 @@ pulse = Table(
     # After a longer silence, attempts get time to renew their leases.
     Column("longest_silence", INTERVAL, nullable=False, server_default="0"),
     _moment("quiet_until", nullable=False),
-    # Of what was used, as the reconciler is set up.
+    # After this time half of a use is forgotten; see `core.jobs.turns`.
     Column("half_life", INTERVAL, nullable=False, server_default="3 days"),
 )
 

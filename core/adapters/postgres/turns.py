@@ -66,7 +66,7 @@ _RUNNING = text("""
 _WAITING = text("""
     SELECT id, queue, project, coalesce(owner, '') FROM jobs WHERE status = 'queued' ORDER BY id LIMIT 20000
 """)
-# Of how many jobs of one queue and user a worker finds out that it cannot run them; then it looks at others'.
+# After so many jobs of one queue and user that it cannot run, a worker looks at those of others.
 _MOST_UNFIT_OF_ONE = 10
 # After so many of all users, one job of each is enough: other claims wait meanwhile.
 _MOST_UNFIT = 100
