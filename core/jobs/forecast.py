@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from heapq import heapify, heapreplace
 
-from core.devices import gpu_indices
-from core.jobs.turns import Quotas, Request, Share, Standings, Started, Who, in_order, standings_on
+from core.environments.info import Device
+from core.jobs.pools import pools_of
+from core.jobs.turns import Held, Pool, Quotas, Request, Share, Standings, Started, in_order, standings_on
 from core.jobs.workers import WorkerInfo
 
 # A job that has run for longer than usual ends in about so many seconds.
@@ -46,14 +47,11 @@ class Forecast:
 def forecasts_of(facts: TurnFacts, workers: Sequence[WorkerInfo]) -> Mapping[str, Forecast]:
     """By the job's id, if there is a worker for it; the earlier one of a GPU's and a CPU's."""
     found = dict[str, Forecast]()
-    for device in ("gpu", "cpu"):
-        own = [
-            one
-            for one in workers
-            if one.state == "ready" and bool(gpu_indices(one.device)) == (device == "gpu")
-        ]
+    devices: Sequence[Device] = ("gpu", "cpu")
+    for device in devices:
         standings, usual_s = standings_on(device, facts.shares, facts.started, facts.quotas)
-        lanes = [_lane(worker, facts.started, usual_s) for worker in own]
+        pools, running = pools_of(device, workers, facts.started, usual_s)
+        lanes = [_lane(pool, running) for pool in pools]
         kinds = frozenset[str]().union(*(lane.kinds for lane in lanes))
         requests = [
             replace(request, expected_s=usual_s.get(request.who))
@@ -67,16 +65,12 @@ def forecasts_of(facts: TurnFacts, workers: Sequence[WorkerInfo]) -> Mapping[str
     return found
 
 
-def _lane(worker: WorkerInfo, started: Sequence[Started], usual_s: Mapping[Who, float]) -> Lane:
-    kinds = frozenset(queue.rpartition("-")[0] for queue in worker.queues)
-    holds = [one for one in started if one.id in worker.jobs]
-    if not holds:
-        return Lane(kinds, 0.0)
-    expected_s = usual_s.get(holds[0].who)
-    if expected_s is None:
-        return Lane(kinds, None)
-    left_s = expected_s - holds[0].age_s
-    return Lane(kinds, left_s if left_s > 0 else _OVERDUE_S)
+def _lane(pool: Pool, running: Sequence[Held]) -> Lane:
+    holds = next((held for held in running if held.pool == pool.name), None)
+    if holds is None:
+        return Lane(pool.kinds, 0.0)
+    left_s = holds.ends_at
+    return Lane(pool.kinds, left_s if left_s is None or left_s > 0 else _OVERDUE_S)
 
 
 def _start(forecast: Forecast) -> float:

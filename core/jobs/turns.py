@@ -64,11 +64,15 @@ class Held:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """The GPUs of a machine that jobs share out among themselves; or a slot for one job."""
+    """The GPUs of a machine that jobs share out among themselves; or a slot for one job.
+
+    kinds: of the requests that it takes.
+    """
 
     name: str
     gpus: int
     free: int
+    kinds: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,13 +230,34 @@ class Share:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A running attempt, as the record has it. device: `gpu` or `cpu`; age_s: since its start."""
+    """A running attempt, as the record has it. device: `gpu` or `cpu`; age_s: since its start.
+
+    worker: its name. rank, is_preemptible: as in `Request` and `Held`.
+    """
 
     id: str
     who: Who
     device: str
     gpus: int
     age_s: float
+    worker: str = ""
+    rank: int = 0
+    is_preemptible: bool = False
+
+
+def held_of(one: Started, usual_s: Mapping[Who, float]) -> Held:
+    """What it holds of its worker's pool, if now is 0 s. usual_s: how long attempts of its user take."""
+    expected_s = usual_s.get(one.who)
+    return Held(
+        one.id,
+        one.rank,
+        one.who,
+        one.gpus,
+        started_at=-one.age_s,
+        ends_at=None if expected_s is None else expected_s - one.age_s,
+        pool=one.worker,
+        is_preemptible=one.is_preemptible,
+    )
 
 
 def standings_on(
@@ -241,14 +266,8 @@ def standings_on(
     """Those among the users of this kind of device, and how long their attempts take."""
     own = [share for share in shares if share.device == device]
     usual_s = {share.who: share.usual_s for share in own}
-    held, others = list[Held](), list[Who]()
-    for one in started:
-        if one.device == device:
-            expected_s = usual_s.get(one.who)
-            ends_at = None if expected_s is None else expected_s - one.age_s
-            held.append(Held(one.id, 0, one.who, one.gpus, -one.age_s, ends_at))
-        else:
-            others.append(one.who)
+    held = [held_of(one, usual_s) for one in started if one.device == device]
+    others = [one.who for one in started if one.device != device]
     use = {share.who: share.amount for share in own}
     return Standings(use, held, elsewhere=others, quotas=quotas), usual_s
 

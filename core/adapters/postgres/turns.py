@@ -148,11 +148,15 @@ def _group(waiting: Request) -> _Group:
 
 def request(job_id: str, queue: str | None, project: str, owner: str) -> Request:
     """The request of a waiting job. A row without a queue is of an older version, and no urgent one."""
-    priority = (queue or "").rpartition("-")[2]
-    rank = PRIORITIES.index(priority) if priority in PRIORITIES else len(PRIORITIES)
     kind = kind_of_queue(queue)
     name = (queue or "").rpartition("-")[0]
-    return Request(job_id, rank, (project, owner), max(1, kind.gpus) * kind.hosts, kind=name)
+    return Request(job_id, rank_of_queue(queue), (project, owner), max(1, kind.gpus) * kind.hosts, kind=name)
+
+
+def rank_of_queue(queue: str | None) -> int:
+    """0 for the highest priority; the lowest for a row without a queue."""
+    priority = (queue or "").rpartition("-")[2]
+    return PRIORITIES.index(priority) if priority in PRIORITIES else len(PRIORITIES)
 
 
 def _shares(connection: Connection) -> list[Share]:
@@ -166,7 +170,9 @@ def _started(row: Row[Any]) -> Started:
     kind = kind_of_queue(row.queue)
     device = "gpu" if ":gpu" in row.worker else "cpu"  # As a worker names itself.
     gpus = max(1, kind.gpus) * kind.hosts
-    return Started(row.id, (row.project, row.owner), device, gpus, row.age_s)
+    return Started(
+        row.id, (row.project, row.owner), device, gpus, row.age_s, row.worker, rank_of_queue(row.queue)
+    )
 
 
 def _quotas(connection: Connection) -> Quotas:

@@ -1,8 +1,12 @@
 """Whose turn it is, by numbers that one can check by hand."""
 
+from typing import Any
+
 import pytest
 
 from core.jobs.forecast import Lane, forecasts
+from core.jobs.pools import pools_of
+from core.jobs.queue import queue_names
 from core.jobs.turns import (
     ADVANCE_S,
     Held,
@@ -11,12 +15,15 @@ from core.jobs.turns import (
     Quotas,
     Request,
     Standings,
+    Started,
     choose,
     decayed,
     in_order,
     reserve,
     to_drain,
 )
+from core.jobs.workers import WorkerInfo
+from tests.unit.jobs.making import NOON
 
 ANN, BEN, EVE = ("gaits", "ann"), ("gaits", "ben"), ("arms", "eve")
 
@@ -155,6 +162,37 @@ def test_those_make_room_who_lose_least_by_it() -> None:
     assert to_drain(asks("x", gpus=8), [pools[2]], [said]) == [said]
     assert to_drain(asks("x", BEN, gpus=8), [pools[2]], [said]) == []  # One's own goes on.
     assert to_drain(asks("x", gpus=8), [Pool("three", 8, 8)], low) == []
+
+
+def test_each_worker_is_a_pool_of_the_gpus_of_its_hosts() -> None:
+    def worker(name: str, device: str, hosts: int = 1, **more: Any) -> WorkerInfo:
+        queues = queue_names(device, hosts)
+        said = {"name": name, "host": "h", "pid": 1, "device": device, "hosts": hosts, "queues": queues}
+        return WorkerInfo.model_validate({**said, "started_at": NOON, "seen_at": NOON, **more})
+
+    workers = [
+        worker("four", "gpu:0,1,2,3"),
+        worker("gang", "gpu:0,1", 2),
+        worker("one", "gpu:4"),
+        worker("broken", "gpu:5", state="device_failed"),
+        worker("cpu", "cpu"),
+    ]
+    started = [
+        Started("a", ANN, "gpu", 4, 50.0, "gang", 2, is_preemptible=True),
+        Started("b", BEN, "cpu", 1, 10.0, "cpu"),
+        Started("c", BEN, "gpu", 1, 10.0, "broken"),
+    ]
+    pools, held = pools_of("gpu", workers, started, {ANN: 70.0})
+    assert [(pool.name, pool.gpus, pool.free) for pool in pools] == [
+        ("four", 4, 4),
+        ("gang", 4, 0),
+        ("one", 1, 1),
+    ]
+    assert pools[0].kinds == {"gaitway-gpu4"}
+    assert held == [Held("a", 2, ANN, 4, -50.0, 20.0, "gang", is_preemptible=True)]
+    pools, held = pools_of("cpu", workers, started, {})
+    assert [(pool.name, pool.gpus, pool.free) for pool in pools] == [("cpu", 1, 0)]
+    assert (held[0].id, held[0].ends_at) == ("b", None)
 
 
 def test_a_forecast_by_measured_durations() -> None:
