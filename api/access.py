@@ -92,6 +92,10 @@ ROUTES: Mapping[str, Access] = {
     "POST /jobs/import": _submits("job.imported"),
     "GET /jobs": _READ,
     "GET /jobs/{job_id}": _READ,
+    "PATCH /jobs/{job_id}": _changes("job.changed"),
+    # They check the owner of each job, and enter it in the audit log.
+    "POST /jobs/cancel": Access(Role.SUBMITTER),
+    "POST /jobs/delete": Access(Role.SUBMITTER),
     "POST /jobs/{job_id}/cancel": _changes("job.cancelled"),
     "DELETE /jobs/{job_id}": _changes("job.deleted"),
     "GET /jobs/{job_id}/artifacts": _READ,
@@ -237,12 +241,12 @@ async def _check_owner(access: Access, principal: Principal, request: Request, s
         owner = service.owners.known(job_id) or await to_thread.run_sync(
             service.owners.of, job_id, service.store.owner_of
         )
-        _check(access, principal, owner, JobNotFound(job_id[:64]), f"Job {job_id}")
+        _check(principal, owner, JobNotFound(job_id[:64]), f"Job {job_id}", owns=access.owns)
     elif (sweep_id := path.get("sweep_id")) is not None:
         owner = service.owners.known(sweep_id) or await to_thread.run_sync(
             service.owners.of, sweep_id, service.store.owner_of_sweep
         )
-        _check(access, principal, owner, SweepNotFound(sweep_id[:64]), f"Sweep {sweep_id}")
+        _check(principal, owner, SweepNotFound(sweep_id[:64]), f"Sweep {sweep_id}", owns=access.owns)
     elif (model_id := path.get("model_id")) is not None:
         found = await to_thread.run_sync(service.store.owners_of_models, [model_id])
         seen = [one for one in found.get(model_id, ()) if principal.sees(one.project)]
@@ -250,7 +254,7 @@ async def _check_owner(access: Access, principal: Principal, request: Request, s
         missing = ModelNotFound(model_id[:80])
         if not seen:
             raise missing
-        _check(access, principal, (own or seen)[0], missing, "The model")
+        _check(principal, (own or seen)[0], missing, "The model", owns=access.owns)
     elif (project := path.get("project")) is not None:
         if not principal.sees(project):
             raise ProjectNotFound(project[:64])
@@ -258,13 +262,20 @@ async def _check_owner(access: Access, principal: Principal, request: Request, s
             webhook = await to_thread.run_sync(service.store.webhook, project, path["webhook"])
             owner = Ownership(webhook.owner, project)
             missing = WebhookNotFound(project, webhook.name)
-            _check(access, principal, owner, missing, f"The webhook {webhook.name}")
+            _check(principal, owner, missing, f"The webhook {webhook.name}", owns=True)
 
 
-def _check(access: Access, principal: Principal, owner: Ownership, missing: NotFound, what: str) -> None:
+def check_job(job_id: str, principal: Principal, service: Service) -> None:
+    """For a job that is to be changed, and that the path does not name. Raises JobNotFound, Forbidden."""
+    if not principal.is_admin:
+        owner = service.owners.of(job_id, service.store.owner_of)
+        _check(principal, owner, JobNotFound(job_id[:64]), f"Job {job_id}", owns=True)
+
+
+def _check(principal: Principal, owner: Ownership, missing: NotFound, what: str, *, owns: bool) -> None:
     if not principal.sees(owner.project):
         raise missing
-    if access.owns and not principal.may_change(owner.owner):
+    if owns and not principal.may_change(owner.owner):
         whose = "was made without accounts" if owner.owner is None else f"belongs to {owner.owner}"
         raise Forbidden(f"{what} {whose}: only its owner or an admin may do this.", owner=owner.owner)
 

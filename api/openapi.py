@@ -163,7 +163,7 @@ def _bound_body(operation: dict[str, Any], limits: _Limits) -> None:
     content: dict[str, Any] = operation.get("requestBody", {}).get("content", {})
     is_import = "sharing" in operation.get("tags", ())
     for media_type, said in content.items():
-        if media_type == "application/json":
+        if media_type.endswith("json"):
             operation["requestBody"]["x-maxBytes"] = limits.max_body_bytes
         else:
             said["schema"]["maxLength"] = limits.max_import_bytes if is_import else limits.max_model_bytes

@@ -12,14 +12,14 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from anyio import fail_after
 from fastapi import Depends, Header, Request
 from pydantic import JsonValue, TypeAdapter, ValidationError
 from pydantic_core import from_json
 
-from api.dependencies import ServiceDep
+from api.dependencies import Service, ServiceDep
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.sentences import body_problems
 from core.accounts.principal import Principal
@@ -39,6 +39,7 @@ Document = TypeVar("Document")
 # A client does not read the answer while it is still sending, so this much excess is read and discarded.
 _DRAINED_BYTES = 16 * 2**20
 _LONGEST_KEY = 255
+MERGE_PATCH = "application/merge-patch+json"
 EXAMPLE_KEY = "7d1f0c7a-first-try"
 EXAMPLES = {
     "the smallest job": {"value": {"kind": "train", "environment": "ant"}},
@@ -89,6 +90,19 @@ class Resumption(Strict):
 RESUMPTION: TypeAdapter[Resumption] = TypeAdapter(Resumption)
 
 
+def body_of(kind: TypeAdapter[Any], *media_types: str) -> dict[str, Any]:
+    """A route's body as OpenAPI says it, for `openapi_extra`; by default of JSON alone."""
+    schema = kind.json_schema(ref_template="#/components/schemas/{model}")
+    schema = {name: value for name, value in schema.items() if name != "$defs"}
+    content = {media_type: {"schema": schema} for media_type in media_types or ("application/json",)}
+    return {"requestBody": {"required": True, "content": content}}
+
+
+def patch_of(kind: TypeAdapter[Any]) -> dict[str, Any]:
+    """`body_of` a JSON merge patch (RFC 7396)."""
+    return body_of(kind, MERGE_PATCH, "application/json")
+
+
 def parse(body: bytes, kind: TypeAdapter[Document]) -> Document:
     """The document in a body. Raises MalformedBody, and Rejected with the fields that are wrong.
 
@@ -135,13 +149,22 @@ async def pieces_of(request: Request, limit: int) -> AsyncIterator[bytes]:
 
 
 async def _json_body(request: Request, service: ServiceDep) -> bytes:
+    return await _json_of(request, service, "application/json")
+
+
+async def _patch_body(request: Request, service: ServiceDep) -> bytes:
+    return await _json_of(request, service, MERGE_PATCH, "application/json")
+
+
+async def _json_of(request: Request, service: Service, *accepted: str) -> bytes:
     media_type = request.headers.get("content-type", "")
-    if media_type.partition(";")[0].strip().lower() != "application/json":
-        raise UnsupportedMediaType(media_type)
+    if media_type.partition(";")[0].strip().lower() not in accepted:
+        raise UnsupportedMediaType(media_type, what="the document", accepted=accepted)
     return await read_body(request, service.settings.max_body_bytes)
 
 
 JsonBody = Annotated[bytes, Depends(_json_body)]
+PatchBody = Annotated[bytes, Depends(_patch_body)]
 
 
 # Not asynchronous: these run in threads.

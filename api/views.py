@@ -99,6 +99,7 @@ def job_view(
         kind=job.spec.kind,
         name=job.spec.name,
         labels=dict(job.spec.labels),
+        note=job.spec.note,
         status=job.status,
         reason=job.reason,
         message=job.message,
@@ -122,7 +123,9 @@ def job_view(
 
 def _unreadable_view(job: UnreadableJob) -> JobView:
     return JobView(
-        **job.model_dump(include={"id", "kind", "name", "labels", "status", "spec", "owner", "project"}),
+        **job.model_dump(
+            include={"id", "kind", "name", "labels", "note", "status", "spec", "owner", "project"}
+        ),
         reason="unreadable",
         message=f"This version of Gaitway cannot read the job's record ({job.problem}).",
         created_at=job.created_at,

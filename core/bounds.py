@@ -21,6 +21,8 @@ MOST_PROBLEMS = 50
 # Characters of a name, of a sentence for people, of an address of ours.
 LONGEST_NAME = 200
 LONGEST_MESSAGE = 4_000
+# Characters of what people note about a job or a sweep.
+LONGEST_NOTE = 4_000
 # The name of a user or a project, as a regular expression.
 ACCOUNT_NAME = r"[a-z0-9][a-z0-9._@-]{0,62}"
 # A job's specification in JSON. Listings carry it.

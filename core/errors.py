@@ -205,7 +205,7 @@ class JobInUse(Conflict):
 
     def __init__(self, job_id: str, jobs: Sequence[str], num_hidden: int = 0) -> None:
         """jobs: those that may be named. num_hidden: how many others there are."""
-        self.jobs = tuple(jobs)
+        self.job, self.jobs = job_id, tuple(jobs)
         named = [*jobs[:5], *([f"{num_hidden} in projects that you do not see"] if num_hidden else [])]
         super().__init__(
             f"{len(jobs) + num_hidden} unfinished jobs need a checkpoint of job {job_id} "

@@ -2,6 +2,7 @@
 
 from api.routes import (
     accounts,
+    bulk,
     catalog,
     files,
     health,
@@ -22,6 +23,7 @@ from api.routes import (
 
 ROUTERS = (
     jobs.router,
+    bulk.router,
     streams.router,
     metrics.router,
     files.router,

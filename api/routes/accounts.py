@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, TypeAdapter
 from api.access import Forbidden, PrincipalDep, actor_of
 from api.dependencies import QueryParameters, Service, ServiceDep
 from api.problems import MalformedBody, UnsupportedMediaType, refusals
-from api.submissions import JsonBody, parse
+from api.submissions import JsonBody, body_of, parse
 from api.views import Listing
 from core.accounts.principal import (
     DEFAULT_PROJECT,
@@ -135,12 +135,6 @@ class NewToken(Strict):
 _NEW_USER, _USER_CHANGE = TypeAdapter(NewUser), TypeAdapter(UserChange)
 _NEW_PROJECT, _MEMBERS = TypeAdapter(NewProject), TypeAdapter(MembersChange)
 _NEW_TOKEN = TypeAdapter(NewToken)
-
-
-def body_of(kind: TypeAdapter[Any]) -> dict[str, Any]:
-    schema = kind.json_schema(ref_template="#/components/schemas/{model}")
-    schema = {name: value for name, value in schema.items() if name != "$defs"}
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
 
 
 @router.get("/whoami", responses=refusals(RecordsUnavailable))

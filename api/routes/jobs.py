@@ -1,7 +1,8 @@
-"""Jobs: submit, list, read, cancel, delete."""
+"""Jobs: submit, list, read, change, cancel, delete."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Query, Response
@@ -11,7 +12,7 @@ from api.access import PrincipalDep, ownership_of_new, whose
 from api.dependencies import CorrelationId, JobId, QueryParameters, Service, ServiceDep
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
 from api.shared_reads import max_age_s
-from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
+from api.submissions import EXAMPLES, IdempotencyKey, PatchBody, Submitted, idempotency, parse, patch_of
 from api.views import Listing, answer, job_view
 from core.accounts.principal import Principal
 from core.errors import (
@@ -28,6 +29,7 @@ from core.errors import (
 )
 from core.jobs.ending import cancel, delete
 from core.jobs.job import JOB_ID, Job, UnreadableJob
+from core.jobs.patch import JOB_PATCH
 from core.jobs.resolved import filled_in
 from core.jobs.spec import JobKind, Text
 from core.jobs.status import JobStatus
@@ -56,20 +58,20 @@ Cursor = Annotated[
 
 
 class JobFilters(QueryParameters):
-    """Filters of a listing; each one given must match."""
+    """Which jobs; each filter that is given must match."""
 
     status: JobStatus | None = None
     kind: JobKind | None = None
     environment: Text | None = Field(None, examples=["ant"])
     name: Text | None = Field(None, description="The whole name.")
     search: Text | None = Field(
-        None, description="A part of the name or of the environment's id, in any case.", examples=["first"]
+        None,
+        description="A part of the name, of the note or of the environment's id, in any case.",
+        examples=["first"],
     )
     owner: Text | None = Field(None, description="A user's name.", examples=[None])
     project: Text | None = Field(None, description="One of your projects.", examples=[None])
     label: list[Label] = Field([], max_length=64, description="`key:value` or `key=value`; repeatable.")
-    cursor: Cursor | None = Field(None, description="The `next` of an earlier page.")
-    limit: int = Field(50, ge=1, le=200)
 
     def query(self, principal: Principal) -> JobQuery:
         return JobQuery(
@@ -81,6 +83,13 @@ class JobFilters(QueryParameters):
             search=self.search or None,
             labels=dict(_label(text) for text in self.label),
         )
+
+
+class JobListing(JobFilters):
+    """A page of those that match."""
+
+    cursor: Cursor | None = Field(None, description="The `next` of an earlier page.")
+    limit: int = Field(50, ge=1, le=200)
 
 
 @router.post(
@@ -137,7 +146,7 @@ def check_job(spec: Submitted, service: ServiceDep, principal: PrincipalDep) -> 
 
 @router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))
 def list_jobs(
-    listed: Annotated[JobFilters, Query()],
+    listed: Annotated[JobListing, Query()],
     service: ServiceDep,
     principal: PrincipalDep,
     cache_control: Annotated[str, Header(max_length=200)] = "",
@@ -172,6 +181,29 @@ def read_job(job_id: JobId, service: ServiceDep) -> Response:
     return answer(job_view(job, workers, None if workers is None else service.turns.now(workers)))
 
 
+@router.patch(
+    "/jobs/{job_id}",
+    response_model=JobView,
+    openapi_extra=patch_of(JOB_PATCH),
+    response_description="The job as it is now",
+    responses=refusals(
+        MalformedBody,
+        JobNotFound,
+        JobUnreadable,
+        BodyTooLarge,
+        UnsupportedMediaType,
+        Rejected,
+        RecordsUnavailable,
+    ),
+)
+def change_job(job_id: JobId, body: PatchBody, service: ServiceDep) -> Response:
+    """Change a job's name, labels and note by a JSON merge patch (RFC 7396), at any time, also while it runs.
+
+    They change nothing of what it does. `GET /jobs/{job_id}/specification` and exports have the new ones.
+    """
+    return answer(job_view(service.store.patch(job_id, parse(body, JOB_PATCH))))
+
+
 @router.post(
     "/jobs/{job_id}/cancel",
     status_code=202,
@@ -195,12 +227,19 @@ def cancel_job(job_id: JobId, service: ServiceDep) -> Response:
 )
 def delete_job(job_id: JobId, service: ServiceDep, principal: PrincipalDep) -> None:
     """Delete an ended job and its files permanently."""
-    try:
+    with naming_those_seen(principal, service):
         delete(job_id, store=service.store, objects=service.objects)
+
+
+@contextmanager
+def naming_those_seen(principal: Principal, service: Service) -> Generator[None]:
+    """Raise a JobInUse without the names of jobs that the principal does not see."""
+    try:
+        yield
     except JobInUse as error:
         needed = service.store.jobs_of(error.jobs)
         seen = [borrower for borrower, job in needed.items() if principal.sees(job.project)]
-        raise JobInUse(job_id, seen, len(error.jobs) - len(seen)) from None
+        raise JobInUse(error.job, seen, len(error.jobs) - len(seen)) from None
 
 
 def _workers(jobs: Sequence[Job | UnreadableJob], service: Service) -> Sequence[WorkerInfo] | None:

@@ -11,9 +11,9 @@ from api.authentication import TooManyRequests, Unauthenticated
 from api.dependencies import Service, ServiceDep
 from api.oidc import Attempt, IdentityProvider, PagePlace, ProviderAway
 from api.problems import CrossSiteRequest, EdgeError, MalformedBody, UnsupportedMediaType, refusals
-from api.routes.accounts import ACCOUNTS_ON, AccountsOff, body_of, who
+from api.routes.accounts import ACCOUNTS_ON, AccountsOff, who
 from api.routes.page import page_with_refusal
-from api.submissions import JsonBody, parse
+from api.submissions import JsonBody, body_of, parse
 from core.accounts.principal import ANYONE, Principal, TokenScope
 from core.accounts.provider import ProviderRules, SignInRefused
 from core.accounts.store import Actor, PageSession

@@ -12,8 +12,8 @@ from pydantic import AfterValidator, Field, SecretStr, TypeAdapter
 from api.access import PrincipalDep, actor_of
 from api.dependencies import JobId, QueryParameters, ServiceDep
 from api.problems import MalformedBody, UnsupportedMediaType, refusals
-from api.routes.accounts import ProjectName, body_of
-from api.submissions import JsonBody, parse
+from api.routes.accounts import ProjectName
+from api.submissions import JsonBody, body_of, parse
 from api.views import Listing, answer
 from core.accounts.principal import NAME
 from core.documents import Strict

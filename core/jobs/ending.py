@@ -1,8 +1,8 @@
 """Cancels a job; deletes a job, or a user's own model, permanently."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from contextlib import suppress
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 from core.errors import (
     JobFinished,
@@ -28,6 +28,14 @@ def cancel(job_id: str, *, store: JobStore, queue: JobQueue) -> Job:
     Cancelling twice changes nothing. Raises JobNotFound, JobUnreadable; JobFinished if the job has succeeded
     or failed.
     """
+    job = cancel_in_record(job_id, store=store)
+    if job.status == JobStatus.CANCELLED:
+        forget_dispatches([job], queue)
+    return job
+
+
+def cancel_in_record(job_id: str, *, store: JobStore) -> Job:
+    """`cancel`, of which the queue is not told. Raises as that does."""
     while True:
         job = store.get(job_id)
         if job.status in (JobStatus.CANCELLING, JobStatus.CANCELLED):
@@ -37,31 +45,26 @@ def cancel(job_id: str, *, store: JobStore, queue: JobQueue) -> Job:
                 f"Job {job_id} has already {_ENDED[job.status]}; there is nothing to cancel.", job=job_id
             )
         try:
-            if job.status == JobStatus.QUEUED:
-                return _end(job, store, queue)
-            store.save(cancelling := job.become(JobStatus.CANCELLING))
+            store.save(changed := _stopped(job, store.now()))
         except StaleJob:
             continue
-        return cancelling
+        return changed
 
 
 _ENDED = {JobStatus.SUCCEEDED: "succeeded", JobStatus.FAILED: "failed"}
 
 
-def _end(job: Job, store: JobStore, queue: JobQueue) -> Job:
-    message = "Cancelled while it was queued."
-    ended = job.ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, message, store.now())
-    store.save(ended)
-    forget_dispatch(job, queue)
-    return ended
+def _stopped(job: Job, now: datetime) -> Job:
+    if job.status != JobStatus.QUEUED:
+        return job.become(JobStatus.CANCELLING)
+    return job.ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, "Cancelled while it was queued.", now)
 
 
-def forget_dispatch(job: Job, queue: JobQueue) -> None:
-    """Remove the next attempt from the queue, if that can be reached: no worker could claim it any more."""
-    try:
-        queue.remove(job.id, job.next_attempt)
-    except RecordsUnavailable:
-        return
+def forget_dispatches(jobs: Iterable[Job], queue: JobQueue) -> None:
+    """Remove the next attempts from the queue, if that answers: no worker could claim them any more."""
+    with suppress(RecordsUnavailable):
+        for job in jobs:
+            queue.remove(job.id, job.next_attempt)
 
 
 # Another process may be writing a part of a feed just now: by then it has finished.
@@ -75,12 +78,17 @@ def delete(job_id: str, *, store: JobStore, objects: ObjectStore) -> None:
     can be deleted. Raises JobNotFound; JobNotFinished unless the job has ended; JobInUse while another one
     needs a checkpoint of it.
     """
+    delete_in_record(job_id, store=store)
+    with suppress(StorageUnavailable):
+        objects.delete_prefix(keys.job(job_id))
+
+
+def delete_in_record(job_id: str, *, store: JobStore) -> None:
+    """`delete`, of which `end_deletions` removes the files. Raises as that does."""
     job = store.find(job_id)
     if not job.status.is_final:
         raise JobNotFinished(f"Job {job_id} is {job.status}; cancel it first.", job=job_id, status=job.status)
     store.delete(job_id, job.version)
-    with suppress(StorageUnavailable):
-        objects.delete_prefix(keys.job(job_id))
 
 
 def end_deletions(*, store: JobStore, objects: ObjectStore, after: timedelta = _OBJECTS_AGAIN_AFTER) -> int:

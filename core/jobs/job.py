@@ -121,6 +121,7 @@ class UnreadableJob(Stored):
     kind: str
     name: str | None = None
     labels: dict[str, str] = Field(default_factory=dict)
+    note: str | None = None
     status: JobStatus
     created_at: datetime
     started_at: datetime | None = None

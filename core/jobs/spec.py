@@ -16,7 +16,7 @@ from pydantic import (
 from core.accounts.principal import AccountName
 from core.algorithms.battery.spec import BatterySpec
 from core.algorithms.catalog import ALGORITHMS, DEFAULT_ALGORITHM, AlgorithmSpec
-from core.bounds import LONGEST_NAME, MOST_ITEMS, FreeOptions, PastStep
+from core.bounds import LONGEST_NAME, LONGEST_NOTE, MOST_ITEMS, FreeOptions, PastStep
 from core.documents import Strict
 from core.environments.randomization import Randomizations
 from core.news.webhook import MAX_WEBHOOKS, WebhookName
@@ -49,7 +49,13 @@ def _without_null(value: str) -> str:
 
 # Text by which jobs can be found.
 Text = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_without_null)]
+Note = Annotated[
+    str,
+    Field(max_length=LONGEST_NOTE, examples=["The knees were too stiff; compare with the next one."]),
+    AfterValidator(_without_null),
+]
 LabelName = Annotated[str, Field(min_length=1, max_length=63, pattern=r"^[A-Za-z0-9_.-]+$")]
+MOST_LABELS = 64
 Priority = Literal["high", "normal", "low"]
 Accelerator = Literal["any", "cpu", "gpu"]
 JobKind = Literal["train", "rollout"]
@@ -236,7 +242,8 @@ class _Common(Strict):
     project: AccountName | None = Field(
         default=None, description="Who may see it; with one project of your own you need not say it."
     )
-    labels: dict[LabelName, Text] = Field(default={}, max_length=64)
+    labels: dict[LabelName, Text] = Field(default={}, max_length=MOST_LABELS)
+    note: Note | None = Field(default=None, description="Plain text about it, for people.")
     environment: EnvironmentChoice
     physics: PhysicsChoice = "auto"
     randomization: Randomizations = Field(

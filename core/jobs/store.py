@@ -14,6 +14,7 @@ from core.errors import Problem, Rejected
 from core.jobs.forecast import TurnFacts
 from core.jobs.job import Job, Progress, UnreadableJob, utc_now
 from core.jobs.metrics import Block, Measurement
+from core.jobs.patch import JobPatch
 from core.jobs.slots import QueueCount
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
@@ -94,7 +95,7 @@ ANYBODYS = Whose()
 class JobQuery(Stored):
     """The filters of a listing; None matches any job. labels: every one must match.
 
-    search: a part of the name or of the environment's id, in any case.
+    search: a part of the name, of the note or of the environment's id, in any case.
     """
 
     status: JobStatus | None = None
@@ -244,6 +245,15 @@ class JobStore(ModelStore, NewsStore, UsageStore, WorkerStore, Protocol):
         The progress in `job` is not stored: `record` does that. A change of status appends a `status`
         entry ({"status", "reason", "message", "attempt"}) to the events, and `note` one of its kind; a job
         that becomes queued gets a dispatch. A job that no attempt holds has no lease.
+        """
+        ...
+
+    def patch(self, job_id: str, patch: JobPatch) -> Job | UnreadableJob:
+        """Change its name, labels and note, whatever its status, and return it.
+
+        Its version stays, so that the patch and what an attempt writes meanwhile take nothing from each
+        other. Raises JobNotFound; JobUnreadable where its specification is no object; Rejected where that
+        would be too large.
         """
         ...
 

@@ -16,7 +16,7 @@ from core.jobs.spec import JOB_SPEC, JobSpec
 from core.sweeps.spec import DEFAULT_POINTS, Axis, Number, Range, SweepSpec
 
 Values = dict[str, JsonValue]
-_FIXED = ("kind", "name", "labels")
+_FIXED = ("kind", "name", "labels", "note")
 _OPTIONS = "environment.options"
 
 

@@ -107,6 +107,14 @@ def full_id(name: str, newest: Callable[[int], Iterable[JobView | SweepView]], w
         raise wrong_usage(str(error)) from None
 
 
+def label_of(text: str) -> tuple[str, str]:
+    """A label of the form KEY=VALUE. Raises typer.Exit(2)."""
+    name, sign, value = text.partition("=")
+    if not sign:
+        raise wrong_usage(f"--label {text!r} is not of the form KEY=VALUE.")
+    return name, value
+
+
 def print_json(document: Any) -> None:
     """A document on stdout, as plain text."""
     sys.stdout.write(escaped(json.dumps(_plain(document), indent=2, ensure_ascii=False)) + "\n")

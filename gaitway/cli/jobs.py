@@ -1,4 +1,4 @@
-"""`gaitway jobs`, `show`, `cancel`, `delete`: jobs as they stand; `workers`; `slots`: how many are wanted."""
+"""`gaitway jobs`, `show`: jobs as they stand; `workers`; `slots`: how many are wanted."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -10,11 +10,10 @@ from rich.table import Table
 from rich.text import Text
 
 from gaitway.battery import shown_battery
-from gaitway.cli.common import AsJson, JobName, Yes, client_of, confirm, job_id, print_json, wrong_usage
+from gaitway.cli.common import AsJson, JobName, client_of, job_id, label_of, print_json
 from gaitway.cli.compare import leaves
 from gaitway.cli.progress import duration
 from gaitway.cli.terminal import Console
-from gaitway.cli.watch import ending
 from gaitway.schema import AttemptView, JobView
 
 # The metrics that one looks at first.
@@ -48,7 +47,7 @@ def jobs(  # noqa: PLR0913 # A command line's options.
     as_json: AsJson = False,
 ) -> None:
     """List jobs, newest first; with accounts your own before those of others."""
-    labels = dict(_label(text) for text in label or ())
+    labels = dict(map(label_of, label or ()))
     filters = {"status": status, "kind": kind, "environment": environment, "name": name, "labels": labels}
     filters |= {"owner": owner, "project": project}
     found = list(client_of(context).list(limit=limit, **filters))
@@ -92,34 +91,6 @@ def origin(job: JobView) -> str | None:
     return f"{found.imported_at:%Y-%m-%d %H:%M}, job {found.job} of a service with Gaitway {found.version}"
 
 
-def cancel(context: typer.Context, job: JobName, as_json: AsJson = False) -> None:
-    """Stop a job; checkpoint, metrics and video up to now are kept."""
-    client = client_of(context)
-    found = client.cancel(job_id(client, job))
-    if as_json:
-        print_json(found)
-    else:
-        print(ending(found) if found.is_final else f"Job {found.id} is {found.status}.")
-
-
-def delete(context: typer.Context, job: JobName, yes: Yes = False) -> None:
-    """Delete an ended job and its files permanently."""
-    client = client_of(context)
-    full_id = job_id(client, job)
-    found = client.get(full_id)
-    about = " ".join(part for part in (found.kind, found.environment, found.name, found.status) if part)
-    confirm(f"Delete job {full_id} ({about}) and its {len(found.artifacts)} files?", yes=yes)
-    client.delete(full_id)
-    print(f"Job {full_id} is deleted.")
-
-
-def _label(text: str) -> tuple[str, str]:
-    name, sign, value = text.partition("=")
-    if not sign:
-        raise wrong_usage(f"--label {text!r} is not of the form KEY=VALUE.")
-    return name, value
-
-
 def _table(found: Sequence[JobView]) -> Table:
     table = Table(box=None, pad_edge=False)
     owned = any(job.owner for job in found)
@@ -146,6 +117,7 @@ def _lines(job: JobView) -> list[str]:
         "name": job.name,
         "owner": job.owner and f"{job.owner}, in the project {job.project}",
         "labels": ", ".join(f"{name}={value}" for name, value in job.labels.items()),
+        "note": (job.note or "").replace("\n", "\n" + 13 * " "),
         "message": job.message,
         "created": _local(job.created_at),
         "started": _local(job.started_at),
@@ -190,7 +162,7 @@ def _local(moment: datetime | None) -> str:
 
 def _settings(sent: Mapping[str, Any], whole: Mapping[str, Any]) -> list[str]:
     """The settings that were sent, then those that were filled in: one a line, of a list an item a line."""
-    left_out = ("kind", "name", "labels", "environment.id")
+    left_out = ("kind", "name", "labels", "note", "environment.id")
     shown = {path: value for path, value in sent.items() if not path.startswith(left_out)}
     rest = {path: value for path, value in whole.items() if path not in sent and path.startswith(_FILLED_IN)}
     lines = list[str]()

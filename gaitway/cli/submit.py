@@ -31,6 +31,7 @@ JOB_FIELDS = frozenset(
             "name",
             "project",
             "labels",
+            "note",
             "environment",
             "physics",
             "randomization",

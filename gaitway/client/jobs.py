@@ -3,7 +3,7 @@
 
 import time
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, overload
 
 from pydantic import PrivateAttr
@@ -13,8 +13,11 @@ from gaitway.client.following import Following
 from gaitway.concurrency import card_in_a_cell
 from gaitway.errors import WaitTimeout
 from gaitway.notebook import Card
-from gaitway.schema import JobView, Metrics, MetricsRow
+from gaitway.schema import JobView, Metrics, MetricsRow, OutcomeView
 from gaitway.views import Event, Page
+
+# Jobs that one request may name.
+_AT_ONCE = 200
 
 
 class Job(JobView):
@@ -69,7 +72,8 @@ class Jobs(Following):
         """Jobs in brief, newest first, fetched page by page as needed; at most `limit`.
 
         Each has its newest ten attempts and files of each role; `get` has all.
-        filters: status, kind, environment, name, owner, project, and labels (a dict, every one must match).
+        filters: status, kind, environment, name, search, owner, project, and labels (a dict, every one must
+        match).
         """
         return self._all("/jobs", Job, limit, _query(filters))
 
@@ -87,6 +91,47 @@ class Jobs(Following):
     def delete(self, job_id: str) -> None:
         """Remove an ended job and its files. Raises Conflict while it runs."""
         self._request("DELETE", self._job_path(job_id))
+
+    def change(self, job_id: str, **changes: Any) -> Job:
+        """Change a job's name, labels and note, at any time: `change(job, name="softer knees", note=None)`.
+
+        None removes; what is left out stays, and so do labels that `labels` does not have.
+        """
+        answer = self._request("PATCH", self._job_path(job_id), json=changes)
+        return Job.model_validate_json(answer.content, context=self)
+
+    def cancel_all(self, job_ids: Iterable[str] = (), **filters: Any) -> Sequence[OutcomeView]:
+        """Cancel these jobs, or all that match the filters of `list`; what became of each.
+
+        One that is refused stops no other.
+        """
+        return self._all_at_once("/jobs/cancel", job_ids, filters)
+
+    def delete_all(self, job_ids: Iterable[str] = (), **filters: Any) -> Sequence[OutcomeView]:
+        """Delete these ended jobs, or all that match the filters of `list`; what became of each.
+
+        One that is refused stops no other. The files are removed within minutes.
+        """
+        return self._all_at_once("/jobs/delete", job_ids, filters)
+
+    def _all_at_once(
+        self, path: str, job_ids: Iterable[str], filters: Mapping[str, Any]
+    ) -> Sequence[OutcomeView]:
+        ids = [self._full_id(job_id) for job_id in job_ids]
+        wanted: list[dict[str, Any]] = [
+            {"jobs": ids[at : at + _AT_ONCE]} for at in range(0, len(ids), _AT_ONCE)
+        ]
+        if filters:
+            wanted.append({"filter": _query(filters)})
+        outcomes = list[OutcomeView]()
+        while wanted:
+            answer = (self._request("POST", path, json=wanted[0])).json()
+            outcomes += [OutcomeView.model_validate(item) for item in answer["items"]]
+            if answer["next"] is None:
+                wanted.pop(0)
+            else:
+                wanted[0]["cursor"] = answer["next"]
+        return outcomes
 
     def specification(self, job_id: str) -> dict[str, Any]:
         """The job's specification with all defaults filled in, which can be submitted again."""

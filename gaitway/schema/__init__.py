@@ -37,6 +37,7 @@ from gaitway.schema.jobs import (
     Metrics,
     MetricsRow,
     OriginView,
+    OutcomeView,
     ProgressView,
     TurnView,
 )
@@ -60,6 +61,7 @@ __all__ = [
     "NewTokenView",
     "NewWebhookView",
     "OriginView",
+    "OutcomeView",
     "PreviewView",
     "ProgressView",
     "ProjectUsageView",

@@ -75,9 +75,9 @@ class TurnView(View):
 class JobView(View):
     """A job as it is now.
 
-    spec: as it was sent, with the environment's options that it takes for its algorithm; the environment's
-    tuned values apply where it names none. progress.phase: what a job does now that a worker holds; otherwise
-    null.
+    spec: as it was sent, with the environment's options that it takes for its algorithm, and with its present
+    name, labels and note; the environment's tuned values apply where it names none. progress.phase: what a
+    job does now that a worker holds; otherwise null.
 
     A record of another version that cannot be read has the reason `unreadable`, and neither attempts nor
     artifacts.
@@ -87,6 +87,7 @@ class JobView(View):
     kind: str = Field(examples=["train"])
     name: str | None = None
     labels: dict[str, str] = {}
+    note: str | None = Field(None, description="Plain text about it, for people.")
     owner: str | None = Field(None, description="A user's name; null without accounts.")
     project: str = "default"
     status: JobStatus
@@ -167,6 +168,18 @@ class JobView(View):
         return f"<Job {' '.join(parts)}>"
 
     __str__ = __repr__
+
+
+class OutcomeView(View):
+    """What became of one of many jobs. result: `cancelled`, `cancelling`, `deleted`, or `refused`.
+
+    code, message: of the refusal, as a problem of that job alone would have them.
+    """
+
+    job: str = Field(examples=["019aa3c2f0b1-5be0c1d2e3"])
+    result: str = Field(examples=["cancelled"])
+    code: str | None = None
+    message: str | None = None
 
 
 def _finite(value: float | None) -> float | None:

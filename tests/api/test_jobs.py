@@ -348,7 +348,7 @@ def test_another_method_is_refused_with_those_there_are(stack: Stack) -> None:
     problem(answer, 405, "method-not-allowed")
     assert answer.headers["Allow"] == "GET"
     assert stack.http.put("/jobs").headers["Allow"] == "GET, POST"
-    assert stack.http.put(f"/jobs/{job().id}").headers["Allow"] == "DELETE, GET"
+    assert stack.http.put(f"/jobs/{job().id}").headers["Allow"] == "DELETE, GET, PATCH"
 
 
 def test_a_lone_submission_takes_little_time(stack: Stack) -> None:

@@ -90,7 +90,31 @@ def test_a_rollout_of_a_job_takes_its_environment_and_the_first_hour_has_its_com
     asked = gaitway(stack, "delete", rollout)
     assert (asked.exit_code, "--yes" in asked.output) == (2, True)
     gaitway(stack, "cancel", rollout)
-    assert gaitway(stack, "delete", rollout, "--yes").exit_code == 0
+    assert gaitway(stack, "delete", rollout, "--yes").stdout == f"Job {rollout} is deleted.\n"
+
+
+def test_jobs_are_changed_and_many_are_cancelled_and_deleted(stack: Stack) -> None:
+    ids = [gaitway(stack, "submit", "ant", "--label", "sweep=3").stdout.strip() for _ in range(3)]
+    attempt = Attempt(stack, job(labels={"sweep": "3"}))
+    changes = ("--name", "knees", "--label", "team=legs", "--without-label", "sweep", "--note", "Too\nstiff.")
+    assert gaitway(stack, "change", ids[0], *changes).exit_code == 0
+    shown = gaitway(stack, "show", ids[0]).output
+    assert all(words in shown for words in ("knees", "labels:    team=legs", "Too\n             stiff."))
+    assert gaitway(stack, "change", ids[0]).exit_code == 2
+    assert (
+        gaitway(stack, "delete").exit_code
+        == gaitway(stack, "delete", "last", "--kind", "train").exit_code
+        == 2
+    )
+    assert "No job matches" in gaitway(stack, "delete", "--label", "sweep=4").output
+    asked = gaitway(stack, "cancel", "--label", "sweep=3")
+    assert (asked.exit_code, "Cancel 3 jobs?" in asked.output) == (2, True)
+    told = gaitway(stack, "cancel", "--label", "sweep=3", "--yes").stdout
+    assert set(told.splitlines()) == {"2 jobs are cancelled.", "1 job is cancelling."}
+    told = gaitway(stack, "delete", *ids, attempt.id, "--yes")
+    assert (told.exit_code, told.stderr.count("is queued"), told.stderr.count("is cancelling")) == (1, 1, 1)
+    assert "2 jobs are deleted.\n" in told.stdout
+    assert len(stack.http.get("/jobs").json()["items"]) == 2
 
 
 def test_a_file_is_sent_by_f_and_an_option_has_the_same_name_for_submit_and_preview(stack: Stack) -> None:

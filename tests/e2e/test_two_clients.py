@@ -109,10 +109,16 @@ def _jobs(client: Either) -> None:
     assert client.page(limit=1).next is not None
     assert client.specification(first.id)["algorithm"]["learning_rate"] > 0
     assert client.check({"environment": "ant"}, seed=3) == client.specification(second.id)
+    changed = client.change(first.id, name="knees", labels={"project": None}, note="Too stiff.")
+    assert (changed.name, changed.labels, changed.note) == ("knees", {}, "Too stiff.")
     assert client.cancel(first.id).status == "cancelled"
     client.delete(first.id)
     with pytest.raises(NotFound):
         client.get(first.id)
+    many = [client.submit(environment="ant", labels={"many": "yes"}).id for _ in range(3)]
+    assert {one.result for one in client.cancel_all([*many, first.id])} == {"cancelled", "refused"}
+    outcomes = client.delete_all(labels={"many": "yes"})
+    assert {one.job: one.result for one in outcomes} == dict.fromkeys(many, "deleted")
     with pytest.raises(Rejected) as caught:
         client.submit(environment="ant", algorithm={"kind": "ppo", "learning_rat": 1})
     assert [error.pointer for error in caught.value.errors] == ["/algorithm/learning_rat"]

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from api.app import OriginCheck
 from api.files import is_known, requested_range
 from api.problems import MalformedBody, RangeNotSatisfiable
-from api.routes.jobs import JobFilters
+from api.routes.jobs import JobListing
 from api.submissions import EXAMPLES, fingerprint, parse
 from core.accounts.principal import ANYONE
 from core.adapters.postgres.listing import check_cursor
@@ -169,7 +169,7 @@ def test_a_listing_is_given_or_its_filters_are_rejected(
     job_store: PostgresJobStore, asked: Mapping[str, Any]
 ) -> None:
     try:
-        wanted = JobFilters.model_validate(asked)
+        wanted = JobListing.model_validate(asked)
         found = job_store.list(wanted.query(ANYONE), cursor=wanted.cursor, limit=wanted.limit)
     except (ValidationError, Rejected):
         return

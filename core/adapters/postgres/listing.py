@@ -197,7 +197,7 @@ def _conditions(query: JobQuery, table: Table | Subquery) -> list[ColumnElement[
     if query.labels:
         found.append(table.c.labels.contains(query.labels))
     if query.search:
-        texts = (table.c.name, table.c.environment)
+        texts = (table.c.name, table.c.note, table.c.environment)
         found.append(or_(*(text.icontains(query.search, autoescape=True) for text in texts)))
     return found
 

@@ -16,6 +16,7 @@ from core.bounds import LONGEST_MESSAGE
 from core.documents import read_leniently
 from core.errors import JobNotFound, JobUnreadable
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
+from core.jobs.patch import JobPatch
 from core.jobs.queue import queue_of
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
@@ -95,6 +96,7 @@ def new_job_values(job: Job) -> Values:
         "environment": spec.environment.id,
         "name": spec.name,
         "labels": spec.labels,
+        "note": spec.note,
         "model": _text(spec.environment.options.get("model")),
         "source": None if spec.source is None else spec.source.job,
         "source_step": None if spec.source is None else spec.source.step,
@@ -106,6 +108,12 @@ def new_job_values(job: Job) -> Values:
         "project": job.project,
         "correlation_id": job.correlation_id,
     }
+
+
+def patch_values(spec: Values, patch: JobPatch) -> Values:
+    """The columns that a patch changes. spec: as it is under the patch."""
+    named = {name: spec.get(name, {} if name == "labels" else None) for name in patch.model_fields_set}
+    return {**named, "spec": json.dumps(spec)}
 
 
 def _text(value: object) -> str | None:
@@ -190,7 +198,7 @@ def _job(row: Row[Any], tries: Sequence[Row[Any]], files: Sequence[Row[Any]]) ->
         }
         return Job.model_validate({**own, **found})
     except ValueError as error:  # JSON's and pydantic's errors are of this kind.
-        found = {"status": status(row.status), "spec": _spec(row.spec), "problem": _problem(error)}
+        found = {"status": status(row.status), "spec": document(row.spec), "problem": _problem(error)}
         return UnreadableJob.model_validate({**own, **found})
 
 
@@ -209,7 +217,8 @@ def _progress(text: str | None) -> Progress:
         return Progress()
 
 
-def _spec(text: str) -> Values:
+def document(text: str) -> Values:
+    """What a specification says, whatever version wrote it; empty for one that is damaged."""
     try:
         spec = json.loads(text)
     except ValueError:

@@ -73,6 +73,7 @@ jobs = Table(
     Column("environment", Text, nullable=False),
     Column("name", Text),
     Column("labels", JSONB, nullable=False),
+    Column("note", Text),
     Column("model", Text),
     Column("source", Text),
     Column("source_step", BigInteger),

@@ -19,9 +19,10 @@ from zipfile import ZIP_STORED, ZipFile
 
 import httpx
 
+from api.routes.bulk import MOST_AT_ONCE
 from api.sharing.importing import MOST_LINES, MOST_LOG_BYTES, MOST_VALUES
 from api.submissions import MAX_OPTIONS_LENGTH
-from core.bounds import LONGEST_NAME, MOST_ATTEMPTS, MOST_IN_A_ROW
+from core.bounds import LONGEST_NAME, LONGEST_NOTE, MOST_ATTEMPTS, MOST_IN_A_ROW
 from core.settings import ApiSettings
 from core.sweeps.spec import MAX_TRIALS
 from tests.faults.campaign.largest_import import Import
@@ -189,6 +190,7 @@ def largest_job() -> dict[str, Any]:
     return {
         "kind": "train",
         "name": _LETTER * LONGEST_NAME,
+        "note": _LETTER * LONGEST_NOTE,
         "labels": {f"{n:063}": _LETTER * LONGEST_NAME for n in range(62)},
         "environment": "ant",
         "randomization": rules,
@@ -363,6 +365,26 @@ def _listing_of_jobs(service: Service, route: str) -> Iterator[Form]:
     yield Form(route, "search and labels", "GET", f"/jobs?limit=200&search={search}&{labels}")
 
 
+def _patch(service: Service, route: str) -> Iterator[Form]:
+    job = largest_job()
+    document = {"name": job["name"], "labels": dict.fromkeys(job["labels"]), "note": _LETTER * LONGEST_NOTE}
+    body = _json(document).ljust(_LARGEST_BODY)
+    yield Form(route, "1 MiB", "PATCH", f"/jobs/{service.job()}", (200,), body, {"Content-Type": _JSON})
+
+
+def _many(path: str) -> Forms:
+    """Of 200 jobs, that are deleted after they have been cancelled."""
+
+    def made(service: Service, route: str) -> Iterator[Form]:
+        jobs = [service.job() for _ in range(service.parts(MOST_AT_ONCE))]
+        if path.endswith("delete"):
+            service.insist("POST", "/jobs/cancel", _json({"jobs": jobs}), {"Content-Type": _JSON})
+        body = _json({"jobs": jobs}).ljust(_LARGEST_BODY)
+        yield Form(route, f"{len(jobs)} jobs", "POST", path, (200,), body, {"Content-Type": _JSON})
+
+    return made
+
+
 def _listing_of_sweeps(service: Service, route: str) -> Iterator[Form]:
     for _ in range(service.parts(10)):
         service.ended_sweep()
@@ -446,7 +468,10 @@ _FORMS: dict[str, Forms] = {
     "POST /jobs/check": _checks,
     "GET /jobs": _listing_of_jobs,
     "GET /jobs/{job_id}": _of_import(""),
+    "PATCH /jobs/{job_id}": _patch,
     "DELETE /jobs/{job_id}": _deletions,
+    "POST /jobs/cancel": _many("/jobs/cancel"),
+    "POST /jobs/delete": _many("/jobs/delete"),
     "POST /jobs/{job_id}/cancel": _cancellation,
     "GET /jobs/{job_id}/events": _of_import("/events?follow=false"),
     "GET /jobs/{job_id}/metrics": _metrics,
