@@ -122,6 +122,7 @@ def describe(app: FastAPI) -> dict[str, Any]:
     _require_tags(schemas)
     for path in document["paths"].values():
         for operation in path.values():
+            _define_parts(operation, schemas)
             _bound_body(operation, limits)
             _answer_with_problems(operation["responses"])
     return document
@@ -156,6 +157,13 @@ def _limits(app: FastAPI) -> _Limits:
     if service is not None:
         return _Limits(*(getattr(service.settings, one.name) for one in fields(_Limits)))
     return _Limits(*(ApiSettings.model_fields[one.name].default for one in fields(_Limits)))
+
+
+def _define_parts(operation: dict[str, Any], schemas: dict[str, Any]) -> None:
+    """Make components of the documents that a body is made of."""
+    for said in operation.get("requestBody", {}).get("content", {}).values():
+        for name, schema in said["schema"].pop("$defs", {}).items():
+            schemas.setdefault(name, schema)
 
 
 def _bound_body(operation: dict[str, Any], limits: _Limits) -> None:

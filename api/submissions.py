@@ -91,9 +91,11 @@ RESUMPTION: TypeAdapter[Resumption] = TypeAdapter(Resumption)
 
 
 def body_of(kind: TypeAdapter[Any], *media_types: str) -> dict[str, Any]:
-    """A route's body as OpenAPI says it, for `openapi_extra`; by default of JSON alone."""
+    """A route's body as OpenAPI says it, for `openapi_extra`; by default of JSON alone.
+
+    `api.openapi` makes components of its `$defs`.
+    """
     schema = kind.json_schema(ref_template="#/components/schemas/{model}")
-    schema = {name: value for name, value in schema.items() if name != "$defs"}
     content = {media_type: {"schema": schema} for media_type in media_types or ("application/json",)}
     return {"requestBody": {"required": True, "content": content}}
 

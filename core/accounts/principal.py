@@ -1,7 +1,7 @@
 """Who makes a request, and what they may do.
 
 viewer     reads what is in their projects
-submitter  also submits there, and cancels and deletes what they own
+submitter  also submits there, and changes, cancels and deletes what they own
 admin      does all, in every project
 
 A token acts as the lesser of its user's role and its scope: an admin's token of the scope `read` may do what
