@@ -18,6 +18,7 @@ from api.problems import EdgeError
 from core.accounts.principal import ANYONE, SCOPE_FOR, Ownership, Principal, Role, TokenScope, project_for
 from core.accounts.store import Actor
 from core.errors import (
+    DeliveryNotFound,
     JobNotFound,
     ModelNotFound,
     NotFound,
@@ -27,6 +28,7 @@ from core.errors import (
     WebhookNotFound,
 )
 from core.jobs.store import Whose
+from core.news.webhook import delivery_number
 
 
 @dataclass(frozen=True)
@@ -134,10 +136,13 @@ ROUTES: Mapping[str, Access] = {
     "GET /projects/{project}/webhooks": _READ,
     "POST /projects/{project}/webhooks": Access(Role.SUBMITTER),
     "GET /projects/{project}/webhooks/{webhook}": _READ,
+    "PATCH /projects/{project}/webhooks/{webhook}": Access(Role.SUBMITTER, owns=True),
     "DELETE /projects/{project}/webhooks/{webhook}": Access(Role.SUBMITTER, owns=True),
+    "POST /projects/{project}/webhooks/{webhook}/rotate": Access(Role.SUBMITTER, owns=True),
     "POST /projects/{project}/webhooks/{webhook}/test": Access(Role.SUBMITTER, owns=True),
     "GET /projects/{project}/webhooks/{webhook}/deliveries": _READ,
     "GET /jobs/{job_id}/deliveries": _READ,
+    "POST /deliveries/{delivery_id}/resend": Access(Role.SUBMITTER, owns=True),
     "GET /users": _ADMIN,
     "POST /users": _ADMIN,
     "PATCH /users/{name}": _ADMIN,
@@ -255,6 +260,11 @@ async def _check_owner(access: Access, principal: Principal, request: Request, s
         if not seen:
             raise missing
         _check(principal, (own or seen)[0], missing, "The model", owns=access.owns)
+    elif (delivery_id := path.get("delivery_id")) is not None:
+        number = delivery_number(delivery_id)
+        webhook = await to_thread.run_sync(service.store.webhook_of, number)
+        owner = Ownership(webhook.owner, webhook.project)
+        _check(principal, owner, DeliveryNotFound(number), f"The webhook {webhook.name}", owns=access.owns)
     elif (project := path.get("project")) is not None:
         if not principal.sees(project):
             raise ProjectNotFound(project[:64])

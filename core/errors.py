@@ -343,6 +343,26 @@ class WebhookExists(Conflict):
         )
 
 
+class WebhookUnsigned(Conflict):
+    code = "webhook-unsigned"
+    title = "The webhook has no secret"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"The webhook {name} has no secret: messages by Apprise are not signed.", webhook=name
+        )
+
+
+class DeliveryNotFound(NotFound):
+    code = "delivery-not-found"
+    title = "No such delivery"
+
+    def __init__(self, delivery: int | str) -> None:
+        super().__init__(
+            f"There is no delivery {delivery}; they are kept for a week after their end.", delivery=delivery
+        )
+
+
 class TooManyWebhooks(Conflict):
     code = "too-many-webhooks"
     title = "The project has too many webhooks"

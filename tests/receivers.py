@@ -26,7 +26,7 @@ class Received:
 @dataclass
 class Receiver:
     """url: where it listens. requests: as they come. answers: gives the status for the number of a request,
-    from 1, and its Location; None: no answer until `release`."""
+    from 1, and its Location, or Retry-After where it does not redirect; None: no answer until `release`."""
 
     url: str
     answers: Callable[[int], tuple[int, str] | None]
@@ -56,7 +56,8 @@ def receiving(
                 return
             self.send_response(answer[0])
             if answer[1]:
-                self.send_header("location", answer[1])
+                is_redirect = 300 <= answer[0] < 400
+                self.send_header("location" if is_redirect else "retry-after", answer[1])
             self.send_header("content-length", "0")
             self.end_headers()
 

@@ -8,7 +8,8 @@ between sending and noting has its claim run out, and another one sends the same
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
+from email.utils import parsedate_to_datetime
 from functools import partial
 from importlib.metadata import version
 from typing import Any
@@ -35,6 +36,7 @@ _MOST_HTTP, _MOST_APPRISE = 64, 4
 _EVERY_S, _PAUSE_IN_OUTAGE_S = 0.5, 2.0
 # From the connection to the whole head of the answer; the body is not read.
 TIMEOUT_S = 10.0
+_ASKS_FOR_A_WAIT = (429, 503)
 
 
 class AddressBackend(httpcore.AsyncNetworkBackend):
@@ -61,6 +63,15 @@ class AddressBackend(httpcore.AsyncNetworkBackend):
         await self._backend.sleep(seconds)
 
 
+@dataclass(frozen=True)
+class Head:
+    """What counts of an answer. location, retry_after: headers, empty where they are missing."""
+
+    status: int
+    location: str = ""
+    retry_after: str = ""
+
+
 @dataclass
 class Post:
     """Sends a delivery, by HTTP or by Apprise. timeout_s: for the whole of an HTTP request."""
@@ -84,7 +95,7 @@ class Post:
     async def _by_http(self, due: Due) -> Outcome:
         try:
             with anyio.fail_after(self.timeout_s):
-                return outcome_of(*await self._head(due))
+                return outcome_of(await self._head(due))
         except TimeoutError:
             return Outcome(error=f"It did not answer within {self.timeout_s:g} s.")
         except (AddressRefused, NameUnknown) as error:
@@ -92,35 +103,48 @@ class Post:
         except (httpcore.NetworkError, httpcore.ProtocolError, OSError) as error:
             return Outcome(error=f"The connection failed: {str(error)[:200] or type(error).__name__}.")
 
-    async def _head(self, due: Due) -> tuple[int, str]:
-        """Status and location of the answer."""
+    async def _head(self, due: Due) -> Head:
         url, body = httpx.URL(due.webhook.url.get_secret_value()), due.document.encode()
         place = httpcore.URL(scheme=url.raw_scheme, host=url.raw_host, port=url.port, target=url.raw_path)
-        secret = due.webhook.secret
+        now = datetime.now(UTC)
         headers: dict[bytes | str, bytes | str] = {
             "content-type": "application/json",
             "user-agent": f"gaitway/{version('gaitway')}",
         }
-        if secret is not None:
-            headers |= signed_headers(due.message, datetime.now(UTC), body, secret.get_secret_value())
+        headers |= signed_headers(due.message, now, body, due.webhook.secrets_at(now))
         pool = httpcore.AsyncConnectionPool(
             self._tls, network_backend=AddressBackend(self.allowed, self.resolver)
         )
         async with pool, pool.stream("POST", place, headers=headers, content=body) as answer:
-            location = next((value for name, value in answer.headers if name.lower() == b"location"), b"")
-            return answer.status, location.decode("latin-1")
+            said = {name.lower(): value.decode("latin-1") for name, value in answer.headers}
+            return Head(answer.status, said.get(b"location", ""), said.get(b"retry-after", ""))
 
 
-def outcome_of(status: int, location: str = "") -> Outcome:
+def outcome_of(head: Head) -> Outcome:
     """What an answer means: any 2xx is success, 410 ends the webhook, all others are tried again."""
+    status = head.status
     if 200 <= status < 300:
         return Outcome(answer=status)
     if status == 410:
         error = "The receiver answered 410 Gone, so nothing more is sent to it."
         return Outcome(error=error, answer=status, is_final=True, stops=True)
     if 300 <= status < 400:
-        return Outcome(error=f"It redirects{_place_of(location)}; redirects are not followed.", answer=status)
-    return Outcome(error=f"It answered {status}.", answer=status)
+        return Outcome(
+            error=f"It redirects{_place_of(head.location)}; redirects are not followed.", answer=status
+        )
+    wait = wait_of(head.retry_after, datetime.now(UTC)) if status in _ASKS_FOR_A_WAIT else None
+    return Outcome(error=f"It answered {status}.", answer=status, wait=wait)
+
+
+def wait_of(retry_after: str, now: datetime) -> timedelta | None:
+    """What a Retry-After asks for, in seconds or until a date; None where it says neither."""
+    try:
+        if retry_after.strip().isdecimal():
+            return timedelta(seconds=int(retry_after))
+        at = parsedate_to_datetime(retry_after)
+        return max(timedelta(), (at if at.tzinfo else at.replace(tzinfo=UTC)) - now)
+    except (ValueError, OverflowError):
+        return None
 
 
 def _place_of(location: str) -> str:

@@ -19,6 +19,7 @@ from core.accounts.principal import NAME
 from core.documents import Strict
 from core.errors import (
     AddressesWait,
+    DeliveryNotFound,
     JobNotFound,
     Problem,
     ProjectNotFound,
@@ -27,21 +28,26 @@ from core.errors import (
     TooManyWebhooks,
     WebhookExists,
     WebhookNotFound,
+    WebhookUnsigned,
 )
 from core.news.addresses import AddressRefused, NameUnknown, checked_address
 from core.news.channels import LONGEST_URL, BadAddress, check_url
 from core.news.store import DeliveryPage
 from core.news.webhook import (
+    DELIVERY_ID,
     ENDS,
     EVENTS,
     MAX_WEBHOOKS,
     TEST,
+    Change,
     JobEvent,
     SweepEvent,
     Webhook,
     WebhookName,
     WhichJobs,
     check_signing_secret,
+    delivery_number,
+    is_http,
     new_message,
     new_signing_secret,
     shown_url,
@@ -55,6 +61,16 @@ _Webhook = Annotated[
     str,
     Path(description="A webhook's name.", examples=["lab-chat"], json_schema_extra={"pattern": f"^{NAME}$"}),
 ]
+_Delivery = Annotated[
+    str,
+    Path(description="Its id.", examples=["17"], json_schema_extra={"pattern": f"^{DELIVERY_ID}$"}),
+]
+_Url = Annotated[str, Field(min_length=1, max_length=LONGEST_URL, examples=["https://hooks.lab.edu/gaitway"])]
+_Events = Annotated[
+    list[JobEvent | SweepEvent],
+    Field(min_length=1, max_length=len(EVENTS)),
+    AfterValidator(lambda said: list(dict.fromkeys(said))),
+]
 _LOOK_UP_S = 2.0
 
 
@@ -65,12 +81,24 @@ class NewWebhook(Strict):
     """
 
     name: WebhookName
-    url: str = Field(min_length=1, max_length=LONGEST_URL, examples=["https://hooks.lab.edu/gaitway"])
-    events: list[JobEvent | SweepEvent] = Field(default=[*ENDS], min_length=1, max_length=len(EVENTS))
+    url: _Url
+    events: _Events = list(ENDS)
     jobs: WhichJobs = "all"
     secret: Annotated[str, Field(max_length=100), AfterValidator(check_signing_secret)] | None = Field(
         default=None, description="`whsec_` and 24 to 64 bytes in base64.", examples=[None]
     )
+
+
+class WebhookChange(Strict):
+    """What changes; the rest stays. url: of the same kind, HTTP or Apprise; what waits goes there, too.
+
+    active: false stops it, and ends what waits; true starts it again, also after an answer 410.
+    """
+
+    url: _Url | None = None
+    events: _Events | None = None
+    jobs: WhichJobs | None = None
+    active: bool | None = None
 
 
 class DeliveryFilters(QueryParameters):
@@ -86,7 +114,7 @@ class DeliveryFilters(QueryParameters):
 
 
 _Listed = Annotated[DeliveryFilters, Query()]
-_NEW_WEBHOOK = TypeAdapter(NewWebhook)
+_NEW_WEBHOOK, _WEBHOOK_CHANGE = TypeAdapter(NewWebhook), TypeAdapter(WebhookChange)
 
 
 @router.get("/projects/{project}/webhooks", responses=refusals(ProjectNotFound, RecordsUnavailable))
@@ -128,15 +156,14 @@ def add_webhook(
         name=wanted.name,
         owner=principal.user,
         url=SecretStr(wanted.url),
-        events=tuple(dict.fromkeys(wanted.events)),
+        events=tuple(wanted.events),
         jobs=wanted.jobs,
         secret=_secret(wanted),
         created_at=service.store.now(),
     )
     service.store.add_webhook(webhook, actor_of(principal, request))
-    secret = None if webhook.secret is None else webhook.secret.get_secret_value()
-    made = NewWebhookView(**_view(webhook).model_dump(), secret=secret)
-    return answer(made, 201, {"Location": f"/projects/{project}/webhooks/{webhook.name}"})
+    place = f"/projects/{project}/webhooks/{webhook.name}"
+    return answer(_with_secret(webhook), 201, {"Location": place})
 
 
 def _check_address(url: str, allowed: Networks) -> None:
@@ -156,7 +183,7 @@ def _check_address(url: str, allowed: Networks) -> None:
 
 
 def _secret(wanted: NewWebhook) -> SecretStr | None:
-    if urlsplit(wanted.url).scheme in ("http", "https"):
+    if is_http(wanted.url):
         return new_signing_secret() if wanted.secret is None else SecretStr(wanted.secret)
     if wanted.secret is not None:
         raise _wrong("secret", "`secret` is for HTTP receivers alone: messages by Apprise are not signed.")
@@ -171,6 +198,48 @@ def _wrong(field: str, detail: str) -> Rejected:
 def read_webhook(project: ProjectName, webhook: _Webhook, service: ServiceDep) -> WebhookView:
     """A webhook, without its secret."""
     return _view(service.store.webhook(project, webhook))
+
+
+@router.patch(
+    "/projects/{project}/webhooks/{webhook}",
+    openapi_extra=body_of(_WEBHOOK_CHANGE),
+    responses=refusals(
+        MalformedBody, UnsupportedMediaType, Rejected, WebhookNotFound, AddressesWait, RecordsUnavailable
+    ),
+)
+def change_webhook(
+    project: ProjectName,
+    webhook: _Webhook,
+    body: JsonBody,
+    request: Request,
+    service: ServiceDep,
+    principal: PrincipalDep,
+) -> WebhookView:
+    """Send to another address, tell of other events or jobs, stop, or start again."""
+    change = parse(body, _WEBHOOK_CHANGE)
+    if change.url is not None:
+        if is_http(change.url) != service.store.webhook(project, webhook).is_http:
+            raise _wrong(
+                "url", "`url` has to be of the same kind, since only HTTP has a secret: add another webhook."
+            )
+        _check_address(change.url, service.settings.news_networks)
+    wanted = Change.model_validate(change.model_dump())
+    return _view(service.store.change_webhook(project, webhook, wanted, actor_of(principal, request)))
+
+
+@router.post(
+    "/projects/{project}/webhooks/{webhook}/rotate",
+    responses=refusals(WebhookNotFound, WebhookUnsigned, RecordsUnavailable),
+)
+def rotate_secret(
+    project: ProjectName, webhook: _Webhook, request: Request, service: ServiceDep, principal: PrincipalDep
+) -> NewWebhookView:
+    """Sign by a new secret, which the answer has this once. The old one signs beside it for a day.
+
+    The one before the old one is forgotten: after a leak, ask twice.
+    """
+    actor = actor_of(principal, request)
+    return _with_secret(service.store.rotate_secret(project, webhook, new_signing_secret(), actor))
 
 
 @router.delete(
@@ -221,6 +290,20 @@ def list_deliveries_of_job(job_id: JobId, listed: _Listed, service: ServiceDep) 
     return _page(service.store.deliveries(job=job_id, **listed.model_dump()))
 
 
+@router.post(
+    "/deliveries/{delivery_id}/resend",
+    status_code=202,
+    response_description="It is sent within a second",
+    responses=refusals(DeliveryNotFound, RecordsUnavailable),
+)
+def resend(delivery_id: _Delivery, service: ServiceDep) -> DeliveryView:
+    """Send the message again, with the same `webhook-id`, as a delivery that is tried for a day.
+
+    One that still waits ends in its favour.
+    """
+    return DeliveryView.model_validate(service.store.resend(delivery_number(delivery_id)))
+
+
 def _page(page: DeliveryPage) -> Listing[DeliveryView]:
     items = [DeliveryView.model_validate(delivery) for delivery in page.deliveries]
     return Listing[DeliveryView](items=items, next=page.next_cursor)
@@ -228,4 +311,9 @@ def _page(page: DeliveryPage) -> Listing[DeliveryView]:
 
 def _view(webhook: Webhook) -> WebhookView:
     url = shown_url(webhook.url.get_secret_value())
-    return WebhookView(**webhook.model_dump(exclude={"url", "secret"}), url=url)
+    return WebhookView(**webhook.model_dump(exclude={"url", "secret", "old_secret"}), url=url)
+
+
+def _with_secret(webhook: Webhook) -> NewWebhookView:
+    secret = None if webhook.secret is None else webhook.secret.get_secret_value()
+    return NewWebhookView(**_view(webhook).model_dump(), secret=secret)

@@ -4,8 +4,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from pydantic import SecretStr
+
 from core.accounts.store import Actor
-from core.news.webhook import Delivery, Due, News, Outcome, Webhook
+from core.news.webhook import Change, Delivery, Due, News, Outcome, Webhook
 
 
 @dataclass(frozen=True)
@@ -31,12 +33,31 @@ class NewsStore(Protocol):
         """Raises WebhookNotFound."""
         ...
 
+    def change_webhook(self, project: str, name: str, change: Change, actor: Actor) -> Webhook:
+        """What waits goes to the new address. Raises WebhookNotFound."""
+        ...
+
+    def rotate_secret(self, project: str, name: str, secret: SecretStr, actor: Actor) -> Webhook:
+        """Sign by this one; the one before it signs beside it for OVERLAP, and one before that no more.
+
+        Raises WebhookNotFound; WebhookUnsigned for one of Apprise.
+        """
+        ...
+
     def remove_webhook(self, project: str, name: str, actor: Actor) -> None:
         """With its deliveries. Raises WebhookNotFound."""
         ...
 
     def add_test(self, project: str, name: str, news: News) -> Delivery:
         """A delivery to this webhook alone, whatever it wants to be told. Raises WebhookNotFound."""
+        ...
+
+    def webhook_of(self, delivery: int) -> Webhook:
+        """The one that it is for. Raises DeliveryNotFound."""
+        ...
+
+    def resend(self, delivery: int) -> Delivery:
+        """A new delivery of the same message; one that waits ends in its favour. Raises DeliveryNotFound."""
         ...
 
     def deliveries(

@@ -10,7 +10,9 @@ import binascii
 import hashlib
 import hmac
 import random
+import re
 import secrets
+from collections.abc import Iterable
 from datetime import datetime, timedelta
 from typing import Annotated, Any, Literal, get_args
 from urllib.parse import urlsplit
@@ -20,6 +22,7 @@ from pydantic_core import to_json
 
 from core.bounds import ACCOUNT_NAME
 from core.documents import Stored
+from core.errors import DeliveryNotFound
 
 JobEvent = Literal["job.started", "job.succeeded", "job.failed", "job.cancelled", "job.attempt_lost"]
 SweepEvent = Literal["sweep.succeeded", "sweep.failed", "sweep.cancelled"]
@@ -32,6 +35,7 @@ ENDS: tuple[JobEvent | SweepEvent, ...] = (
 TEST = "webhook.test"
 WebhookName = Annotated[str, Field(pattern=f"^{ACCOUNT_NAME}$", examples=["lab-chat"])]
 WhichJobs = Literal["all", "own", "named"]
+DELIVERY_ID = "[0-9]{1,18}"
 DeliveryStatus = Literal["waiting", "delivered", "failed"]
 
 MAX_WEBHOOKS = 20
@@ -46,6 +50,10 @@ PAUSES = tuple(
 )
 # A sender that says nothing for this long after it has claimed a delivery is taken for dead.
 CLAIM = timedelta(seconds=45)
+# A receiver that asks for a later try waits this long at most.
+LONGEST_WAIT = timedelta(days=1)
+# How long the secret before a new one signs beside it, as the specification recommends.
+OVERLAP = timedelta(days=1)
 # How long the log of deliveries reaches back.
 KEPT = timedelta(days=7)
 
@@ -55,7 +63,8 @@ class Webhook(Stored):
 
     url: of an HTTP receiver, or an Apprise address; it may hold a password. jobs: all of the project, those
     of the owner, or those that name it in `notify`. secret: `whsec_…`, which signs messages; None for
-    Apprise. stopped: why nothing is sent any more.
+    Apprise. old_secret: the one before it, which signs beside it until `old_secret_until`. stopped: why it is
+    told nothing any more.
     """
 
     project: str
@@ -65,12 +74,32 @@ class Webhook(Stored):
     events: tuple[str, ...]
     jobs: WhichJobs
     secret: SecretStr | None = None
+    old_secret: SecretStr | None = None
+    old_secret_until: datetime | None = None
     created_at: datetime
     stopped: str | None = None
 
     @property
     def is_http(self) -> bool:
-        return urlsplit(self.url.get_secret_value()).scheme in ("http", "https")
+        return is_http(self.url.get_secret_value())
+
+    def secrets_at(self, at: datetime) -> list[str]:
+        """Those that sign a message now, the newest first; none for Apprise."""
+        is_old_one_valid = self.old_secret_until is not None and at < self.old_secret_until
+        known = [self.secret, self.old_secret if is_old_one_valid else None]
+        return [secret.get_secret_value() for secret in known if secret is not None]
+
+
+class Change(Stored):
+    """What changes of a webhook; None stays.
+
+    active: False stops it, which ends what waits; True starts it again, also after a 410.
+    """
+
+    url: SecretStr | None = None
+    events: tuple[str, ...] | None = None
+    jobs: WhichJobs | None = None
+    active: bool | None = None
 
 
 class News(Stored):
@@ -121,11 +150,12 @@ class Due(Stored):
 class Outcome(Stored):
     """How a try ended. error: None for success. is_final: no other try can succeed.
 
-    stops: the receiver wants no more news at all.
+    wait: the receiver asks that the next try comes no sooner. stops: it wants no more news at all.
     """
 
     error: str | None = None
     answer: int | None = None
+    wait: timedelta | None = None
     is_final: bool = False
     stops: bool = False
 
@@ -159,12 +189,16 @@ def _key(secret: str) -> bytes:
         raise ValueError(f"must be `{_PREFIX}` and then base64") from None
 
 
-def signed_headers(message: str, at: datetime, body: bytes, secret: str) -> dict[str, str]:
-    """The headers that say who sent the message and when, and prove it."""
+def signed_headers(message: str, at: datetime, body: bytes, signers: Iterable[str]) -> dict[str, str]:
+    """The headers that say who sent the message and when, and prove it by a signature for each secret.
+
+    signers: secrets, the newest first.
+    """
     timestamp = str(int(at.timestamp()))
     signed = b".".join((message.encode(), timestamp.encode(), body))
-    signature = base64.b64encode(hmac.digest(_key(secret), signed, hashlib.sha256)).decode()
-    return {"webhook-id": message, "webhook-timestamp": timestamp, "webhook-signature": f"v1,{signature}"}
+    digests = [hmac.digest(_key(secret), signed, hashlib.sha256) for secret in signers]
+    signature = " ".join(f"v1,{base64.b64encode(digest).decode()}" for digest in digests)
+    return {"webhook-id": message, "webhook-timestamp": timestamp, "webhook-signature": signature}
 
 
 def most_at_once(*, is_http: bool) -> int:
@@ -172,11 +206,27 @@ def most_at_once(*, is_http: bool) -> int:
     return 4 if is_http else 1
 
 
-def pause_after(attempt: int) -> timedelta | None:
-    """The time from this try, counted from 1, to the next, within a tenth at random; None after the last."""
+def pause_after(attempt: int, wait: timedelta | None = None) -> timedelta | None:
+    """The time from this try, counted from 1, to the next, within a tenth at random; None after the last.
+
+    wait: what the receiver asks for at least, of which a day counts.
+    """
     if attempt > len(PAUSES):
         return None
-    return PAUSES[attempt - 1] * random.uniform(0.95, 1.05)  # noqa: S311
+    pause = PAUSES[attempt - 1] * random.uniform(0.95, 1.05)  # noqa: S311
+    return pause if wait is None else max(pause, min(wait, LONGEST_WAIT))
+
+
+def delivery_number(text: str) -> int:
+    """The id that this text is. Raises DeliveryNotFound."""
+    if re.fullmatch(DELIVERY_ID, text) is None:
+        raise DeliveryNotFound(text[:64])
+    return int(text)
+
+
+def is_http(url: str) -> bool:
+    """Whether the address is that of an HTTP receiver; the others are Apprise's."""
+    return urlsplit(url).scheme in ("http", "https")
 
 
 def shown_url(url: str) -> str:

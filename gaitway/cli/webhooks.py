@@ -12,7 +12,7 @@ from rich.text import Text
 from gaitway.cli.common import AsJson, Yes, client_of, complain, confirm, job_id, print_json, wrong_usage
 from gaitway.cli.terminal import Console
 from gaitway.client import Client
-from gaitway.schema import DeliveryView
+from gaitway.schema import DeliveryView, WebhookView
 
 webhooks = typer.Typer(help="Who is told when a job starts or ends.", no_args_is_help=True)
 Name = Annotated[str, typer.Argument(metavar="NAME")]
@@ -20,6 +20,7 @@ Project = Annotated[
     str | None, typer.Option(help="Needless with one project of your own; without accounts, default.")
 ]
 _TEST_S = 30.0
+_COLUMNS = ("NAME", "ADDRESS", "EVENTS", "JOBS", "OWNER", "STOPPED")
 
 
 @webhooks.command("add")
@@ -58,11 +59,47 @@ def list_webhooks(context: typer.Context, project: Project = None, as_json: AsJs
     if as_json:
         print_json(found)
         return
-    rows = [
-        (one.name, one.url, ", ".join(one.events), one.jobs, one.owner or "-", one.stopped or "")
-        for one in found
-    ]
-    _print(("NAME", "ADDRESS", "EVENTS", "JOBS", "OWNER", "STOPPED"), rows)
+    _print(_COLUMNS, [_row(one) for one in found])
+
+
+@webhooks.command("change")
+def change(  # noqa: PLR0913 # A command line's options.
+    context: typer.Context,
+    name: Name,
+    project: Project = None,
+    url: Annotated[str | None, typer.Option(help="Another address; what waits goes there, too.")] = None,
+    event: Annotated[list[str] | None, typer.Option(help="In place of its events; repeatable.")] = None,
+    jobs: Annotated[str | None, typer.Option(help="all, own, or named.")] = None,
+    active: Annotated[
+        bool | None,
+        typer.Option("--start/--stop", help="Tell it nothing for now, which ends what waits; or again."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Change a webhook's address, events or jobs, stop it, or start it again."""
+    client = client_of(context)
+    if url is None and not event and jobs is None and active is None:
+        raise wrong_usage("Say what changes: --url, --event, --jobs, --stop or --start.")
+    inside = _project(client, project)
+    changed = client.change_webhook(
+        name, project=inside, url=url, events=event or None, jobs=jobs, active=active
+    )
+    if as_json:
+        print_json(changed)
+        return
+    _print(_COLUMNS, [_row(changed)])
+
+
+@webhooks.command("rotate")
+def rotate(context: typer.Context, name: Name, project: Project = None, as_json: AsJson = False) -> None:
+    """Sign by a new secret, which is printed once, on stdout; the old one signs beside it for a day."""
+    client = client_of(context)
+    made = client.rotate_secret(name, project=_project(client, project))
+    if as_json:
+        print_json(made)
+        return
+    complain(f"The old secret of {name} signs beside this one until {_moment(made.old_secret_until)}.")
+    print(made.secret)
 
 
 @webhooks.command("delete")
@@ -90,6 +127,20 @@ def send_test(context: typer.Context, name: Name, project: Project = None) -> No
         raise typer.Exit(1)
 
 
+@webhooks.command("resend")
+def resend(
+    context: typer.Context,
+    delivery: Annotated[int, typer.Argument(metavar="ID", help="As `gaitway webhooks deliveries` shows it.")],
+    as_json: AsJson = False,
+) -> None:
+    """Send a message again, as a new delivery; the old one ends if it waits."""
+    sent = client_of(context).resend(delivery)
+    if as_json:
+        print_json(sent)
+        return
+    print(f"{sent.event} goes to {sent.webhook} again, as delivery {sent.id}.")
+
+
 @webhooks.command("deliveries")
 def deliveries(
     context: typer.Context,
@@ -111,10 +162,18 @@ def deliveries(
         print_json(found)
         return
     rows = [
-        (_moment(one.created_at), one.webhook, one.event, one.job or "", str(one.attempts), _outcome(one))
+        (
+            str(one.id),
+            _moment(one.created_at),
+            one.webhook,
+            one.event,
+            one.job or "",
+            str(one.attempts),
+            _outcome(one),
+        )
         for one in found
     ]
-    _print(("WHEN", "WEBHOOK", "EVENT", "JOB", "TRIES", "OUTCOME"), rows)
+    _print(("ID", "WHEN", "WEBHOOK", "EVENT", "JOB", "TRIES", "OUTCOME"), rows)
 
 
 def _project(client: Client, project: str | None) -> str:
@@ -125,6 +184,10 @@ def _project(client: Client, project: str | None) -> str:
     if len(own) > 1:
         raise wrong_usage(f"You are in several projects: say which by --project, one of {', '.join(own)}.")
     return own[0] if own else "default"
+
+
+def _row(one: WebhookView) -> Sequence[str]:
+    return one.name, one.url, ", ".join(one.events), one.jobs, one.owner or "-", one.stopped or ""
 
 
 def _outcome(delivery: DeliveryView) -> str:

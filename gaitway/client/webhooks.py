@@ -34,6 +34,32 @@ class Webhooks(Connection):
         """Those of the project, without their secrets. Raises NotFound."""
         return self._items(_path(project), WebhookView)
 
+    def change_webhook(
+        self,
+        name: str,
+        *,
+        project: str = "default",
+        url: str | None = None,
+        events: Sequence[str] | None = None,
+        jobs: str | None = None,
+        active: bool | None = None,
+    ) -> WebhookView:
+        """Change what is given; the rest stays. active: False stops it; True starts it again.
+
+        Raises Rejected, NotFound.
+        """
+        document = {"url": url, "events": events and [*events], "jobs": jobs, "active": active}
+        given = {field: value for field, value in document.items() if value is not None}
+        answer = self._request("PATCH", _path(project, name), json=given)
+        return WebhookView.model_validate_json(answer.content)
+
+    def rotate_secret(self, name: str, *, project: str = "default") -> NewWebhookView:
+        """Sign by a new `secret`, shown this once; the old one signs beside it for a day.
+
+        Raises NotFound; Conflict for one of Apprise.
+        """
+        return self._post(_path(project, name, "rotate"), NewWebhookView, once=True)
+
     def delete_webhook(self, name: str, *, project: str = "default") -> None:
         """Send nothing more to it, and forget what was sent. Raises NotFound."""
         self._request("DELETE", _path(project, name))
@@ -47,6 +73,10 @@ class Webhooks(Connection):
     ) -> Iterator[DeliveryView]:
         """What was sent to a webhook in the last week, the newest first. Raises NotFound."""
         return self._all(_path(project, name, "deliveries"), DeliveryView, limit, {})
+
+    def resend(self, delivery: int) -> DeliveryView:
+        """Send the message again, as a new delivery; the old one ends if it waits. Raises NotFound."""
+        return self._post(path_of("deliveries", str(delivery), "resend"), DeliveryView, once=True)
 
     def job_deliveries(self, job_id: str) -> Sequence[DeliveryView]:
         """The newest messages about a job, of the last week. Raises NotFound."""

@@ -11,7 +11,8 @@ class WebhookView(View):
     """Whom to tell of what. url: without what may be a secret of it. events: such as `job.failed`.
 
     owner: who made it. jobs: `all` of the project, the owner's `own`, or those that are `named` by `notify`.
-    stopped: why nothing is sent any more.
+    old_secret_until: until then the secret before the newest signs beside it. stopped: why it is told nothing
+    any more.
     """
 
     project: str = Field(examples=["gaits"])
@@ -21,11 +22,12 @@ class WebhookView(View):
     events: tuple[str, ...]
     jobs: WhichJobs
     created_at: datetime
+    old_secret_until: datetime | None = None
     stopped: str | None = None
 
 
 class NewWebhookView(WebhookView):
-    """A webhook that was just made. secret: signs its messages, and is shown this once; null for Apprise."""
+    """A webhook with its new secret, which is shown this once and signs its messages; null for Apprise."""
 
     secret: str | None = Field(None, examples=["whsec_…"])
 

@@ -40,6 +40,7 @@ VALUES = {
     "{environment_id}": "ant",
     "{code}": "forbidden",
     "{step}": "1",
+    "{delivery_id}": "1",
 }
 
 

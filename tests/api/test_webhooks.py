@@ -100,6 +100,44 @@ def test_apprise_looks_at_few_addresses_at_once(stack: Stack, monkeypatch: pytes
     assert stack.http.post(HOOKS, json=slack).status_code == 201
 
 
+def test_a_change_is_checked_as_a_new_webhook_is(stack: Stack) -> None:
+    add(stack)
+    add(stack, name="chat", url="slack://T1JJ3T3L2/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ")
+    changed = stack.http.patch(
+        f"{HOOKS}/hook", json={"url": "https://1.0.0.1/", "events": ["job.failed"] * 2}
+    )
+    assert (changed.status_code, changed.json()["url"]) == (200, "https://1.0.0.1")
+    assert changed.json()["events"] == ["job.failed"]
+    assert "secret" not in changed.text.replace("old_secret_until", "")
+    wrong: list[tuple[str, dict[str, Any], str, str]] = [
+        ("hook", {"url": "http://10.1.2.3/"}, "/url", "not public"),
+        ("hook", {"url": "ntfys://1.1.1.1/a"}, "/url", "has to be of the same kind"),
+        ("chat", {"url": PUBLIC}, "/url", "has to be of the same kind"),
+        ("hook", {"events": []}, "/events", "1"),
+        ("hook", {"name": "other"}, "/name", "name"),
+    ]
+    for name, said, pointer, words in wrong:
+        answer = stack.http.patch(f"{HOOKS}/{name}", json=said)
+        (error,) = problem(answer, 422, "invalid-request")["errors"]
+        assert error["pointer"] == pointer
+        assert words in error["detail"]
+    problem(stack.http.patch(f"{HOOKS}/none", json={"url": PUBLIC}), 404, "webhook-not-found")
+    assert stack.http.patch(f"{HOOKS}/hook", json={"active": False}).json()["stopped"] == "Stopped by hand."
+    assert stack.http.patch(f"{HOOKS}/hook", json={"active": True}).json()["stopped"] is None
+
+
+def test_a_new_secret_is_shown_once(stack: Stack) -> None:
+    made = add(stack)
+    rotated = stack.http.post(f"{HOOKS}/hook/rotate").json()
+    assert rotated["secret"].startswith("whsec_")
+    assert rotated["secret"] != made["secret"]
+    shown = stack.http.get(f"{HOOKS}/hook").json()
+    assert shown == {name: value for name, value in rotated.items() if name != "secret"}
+    assert shown["old_secret_until"] is not None
+    add(stack, name="chat", url="slack://T1JJ3T3L2/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ")
+    problem(stack.http.post(f"{HOOKS}/chat/rotate"), 409, "webhook-unsigned")
+
+
 def test_a_project_has_so_many_of_different_names(stack: Stack) -> None:
     add(stack)
     problem(stack.http.post(HOOKS, json={"name": "hook", "url": PUBLIC}), 409, "webhook-exists")
@@ -127,6 +165,10 @@ def test_a_test_and_what_was_sent_are_in_the_deliveries_page_by_page(stack: Stac
     (of_job,) = then["items"]
     assert (of_job["job"], of_job["status"], of_job["answer"]) == (job.id, "waiting", 500)
     assert stack.http.get(f"/jobs/{job.id}/deliveries").json()["items"] == [of_job]
+    again = stack.http.post(f"/deliveries/{of_job['id']}/resend")
+    assert (again.status_code, again.json()["message"]) == (202, of_job["message"])
+    for wrong in ("x", "1.5", "9" * 30, str(10**17)):
+        problem(stack.http.post(f"/deliveries/{wrong}/resend"), 404, "delivery-not-found")
     problem(stack.http.get(f"{HOOKS}/hook/deliveries", params={"cursor": "x"}), 422, "invalid-request")
     problem(stack.http.get("/jobs/019aa3c2f0b1-5be0c1d2e3/deliveries"), 404, "job-not-found")
 
@@ -159,9 +201,18 @@ def test_members_see_a_projects_webhooks_and_their_owner_or_an_admin_changes_the
     for path in ("", "/hook", "/hook/deliveries"):
         problem(lab.of("bob").get(f"{hooks}{path}"), 404, "project-not-found")
     problem(lab.of("bob").delete(f"{hooks}/hook"), 404, "project-not-found")
-    for refused in (lab.of("amy").delete(f"{hooks}/hook"), lab.of("amy").post(f"{hooks}/hook/test")):
+    sent = lab.of("ann").post(f"{hooks}/hook/test")
+    assert sent.status_code == 202
+    again = f"/deliveries/{sent.json()['id']}/resend"
+    for refused in (
+        lab.of("amy").delete(f"{hooks}/hook"),
+        lab.of("amy").patch(f"{hooks}/hook", json={"jobs": "own"}),
+        *(lab.of("amy").post(path) for path in (f"{hooks}/hook/test", f"{hooks}/hook/rotate", again)),
+    ):
         assert "belongs to ann" in problem(refused, 403, "forbidden")["detail"]
-    assert lab.of("ann").post(f"{hooks}/hook/test").status_code == 202
+    problem(lab.of("bob").post(again), 404, "delivery-not-found")
+    problem(lab.of("bob").patch(f"{hooks}/hook", json={}), 404, "project-not-found")
+    assert lab.of("ann").post(again).status_code == 202
     assert lab.of("root").delete(f"{hooks}/hook").status_code == 204
     actions = [entry.action for entry in lab.stack.store.audit(object="project a").entries]
     assert actions[:2] == ["webhook.deleted", "webhook.added"]

@@ -12,7 +12,15 @@ from core.accounts.principal import Role
 from core.accounts.store import Actor, User
 from core.adapters.postgres.news import forget_old
 from core.adapters.postgres.store import PostgresJobStore
-from core.errors import ProjectNotFound, StaleJob, TooManyWebhooks, WebhookExists, WebhookNotFound
+from core.errors import (
+    DeliveryNotFound,
+    ProjectNotFound,
+    StaleJob,
+    TooManyWebhooks,
+    WebhookExists,
+    WebhookNotFound,
+    WebhookUnsigned,
+)
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.news.webhook import (
@@ -20,6 +28,7 @@ from core.news.webhook import (
     EVENTS,
     MAX_WEBHOOKS,
     PAUSES,
+    Change,
     Delivery,
     Due,
     News,
@@ -27,6 +36,7 @@ from core.news.webhook import (
     Webhook,
     new_message,
     new_signing_secret,
+    pause_after,
     wants,
 )
 from core.reasons import Reason
@@ -250,6 +260,116 @@ def test_a_receiver_that_is_gone_is_told_nothing_more(job_store: PostgresJobStor
     assert job_store.webhook("default", "hook").stopped == "Gone."
     job_store.save(cancelled(job_store.add(queued_job(2))))
     assert len(told(job_store)) == 2
+
+
+def test_a_wait_that_the_receiver_asks_for_counts_up_to_a_day(
+    job_store: PostgresJobStore, ended: Job
+) -> None:
+    for said, seconds in (({"seconds": 1}, 4.7), ({"hours": 1}, 3600), ({"days": 9}, 86_400)):
+        pause = pause_after(1, timedelta(**said))
+        assert pause is not None
+        assert seconds <= pause.total_seconds() < seconds + 1
+    job_store.spread_news()
+    (due,) = claim(job_store)
+    job_store.note_outcome(due, Outcome(error="It answered 503.", answer=503, wait=timedelta(hours=2)))
+    then = only_delivery(job_store).next_attempt_at
+    assert then is not None
+    assert timedelta(hours=1.9) < then - job_store.now() <= timedelta(hours=2)
+
+
+def test_a_change_of_a_webhook_holds_for_what_waits(job_store: PostgresJobStore, ended: Job) -> None:
+    job_store.spread_news()
+    change = Change(url=SecretStr("https://hooks.example/secret"), events=("job.failed",), jobs="named")
+    changed = job_store.change_webhook("default", "hook", change, ANN)
+    assert (changed.events, changed.jobs, changed.stopped) == (("job.failed",), "named", None)
+    assert claim(job_store)[0].webhook == changed
+    assert job_store.change_webhook("default", "hook", Change(), ANN) == changed
+    with pytest.raises(WebhookNotFound):
+        job_store.change_webhook("default", "no", change, ANN)
+    entry = job_store.audit().entries[0]
+    assert (entry.action, entry.details["url"]) == ("webhook.changed", "https://hooks.example/…")
+
+
+def test_a_webhook_that_is_stopped_is_told_nothing_until_it_starts_again(
+    job_store: PostgresJobStore, ended: Job
+) -> None:
+    job_store.spread_news()
+    stopped = job_store.change_webhook("default", "hook", Change(active=False), ANN)
+    assert (stopped.stopped, only_delivery(job_store).status) == ("Stopped by ann.", "failed")
+    assert not claim(job_store)
+    job_store.save(cancelled(job_store.add(queued_job(1))))
+    assert len(told(job_store)) == 1
+    job_store.change_webhook("default", "hook", Change(active=True), ANN)
+    job_store.save(cancelled(job_store.add(queued_job(2))))
+    assert len(told(job_store)) == 2
+
+
+def test_the_end_of_an_old_address_does_not_stop_the_new_one(job_store: PostgresJobStore, ended: Job) -> None:
+    job_store.spread_news()
+    (due,) = claim(job_store)
+    job_store.change_webhook("default", "hook", Change(url=SecretStr("https://hooks.example/2")), ANN)
+    job_store.note_outcome(due, Outcome(error="Gone.", answer=410, is_final=True, stops=True))
+    assert job_store.webhook("default", "hook").stopped is None
+
+
+def test_a_new_secret_signs_beside_the_old_one_alone(job_store: PostgresJobStore, database: Database) -> None:
+    first = job_store.add_webhook(webhook(), ANN)
+    second, third = new_signing_secret(), new_signing_secret()
+    rotated = job_store.rotate_secret("default", "hook", second, ANN)
+    assert (rotated.secret, rotated.old_secret) == (second, first.secret)
+    assert rotated.old_secret_until is not None
+    assert timedelta(hours=23.9) < rotated.old_secret_until - job_store.now() <= timedelta(days=1)
+    rotated = job_store.rotate_secret("default", "hook", third, ANN)
+    assert (rotated.secret, rotated.old_secret) == (third, second)
+    job_store.tidy()
+    assert job_store.webhook("default", "hook") == rotated
+    database.change("UPDATE webhooks SET old_secret_until = now()")
+    job_store.tidy()
+    kept = job_store.webhook("default", "hook")
+    assert (kept.secret, kept.old_secret, kept.old_secret_until) == (third, None, None)
+    job_store.add_webhook(webhook("chat", url=SecretStr("ntfys://hooks.example/a"), secret=None), ANN)
+    with pytest.raises(WebhookUnsigned):
+        job_store.rotate_secret("default", "chat", second, ANN)
+    with pytest.raises(WebhookNotFound):
+        job_store.rotate_secret("default", "no", second, ANN)
+    assert [one.action for one in job_store.audit().entries].count("webhook.rotated") == 2
+
+
+def test_a_message_is_sent_again_by_hand(job_store: PostgresJobStore, ended: Job) -> None:
+    job_store.spread_news()
+    (late,) = claim(job_store)
+    assert job_store.webhook_of(late.id).name == "hook"
+    second = job_store.resend(late.id)
+    job_store.note_outcome(late, Outcome(answer=204))
+    newest, waited = job_store.deliveries().deliveries
+    assert newest == second
+    assert (waited.status, waited.error) == ("failed", f"Sent again by hand, as delivery {second.id}.")
+    (due,) = claim(job_store)
+    assert (due.id, due.attempt, due.message, due.document) == (second.id, 1, late.message, late.document)
+    job_store.note_outcome(due, Outcome(answer=204))
+    third = job_store.resend(second.id)
+    assert (third.status, third.job) == ("waiting", ended.id)
+    assert job_store.deliveries().deliveries[1].status == "delivered"
+    for missing in (job_store.resend, job_store.webhook_of):
+        with pytest.raises(DeliveryNotFound):
+            missing(10**17)
+
+
+def test_old_deliveries_are_found_by_an_index(
+    job_store: PostgresJobStore, database: Database, ended: Job
+) -> None:
+    job_store.spread_news()
+    database.change(
+        """
+        INSERT INTO deliveries (project, webhook, message, event, document, status, created_at, ended_at)
+        SELECT project, webhook, message, event, document, 'delivered', now(), now() - interval '1 minute' * n
+        FROM deliveries, generate_series(1, 20000) AS n
+        """
+    )
+    database.change("ANALYZE deliveries")
+    old = "SELECT id FROM deliveries WHERE ended_at < statement_timestamp() - interval '7 days' LIMIT 5000"
+    plan = database.read(f"EXPLAIN {old}")
+    assert "deliveries_ended" in str(plan)
 
 
 def test_a_test_goes_to_one_webhook_that_wants_nothing(job_store: PostgresJobStore) -> None:

@@ -154,6 +154,19 @@ def test_a_webhook_by_the_command(lab: Lab) -> None:
         assert receiver.next().message["type"] == "job.cancelled"
         shown = succeeded(gaitway(lab, "webhooks", "deliveries", "hook", *in_a, token=token))
         assert "webhook.test" in shown
+        number = next(line.split()[0] for line in shown.splitlines() if "webhook.test" in line)
+        again = succeeded(gaitway(lab, "webhooks", "resend", number, token=token))
+        assert again.startswith("webhook.test goes to hook again, as delivery ")
+        assert receiver.next().message["type"] == "webhook.test"
+        assert succeeded(gaitway(lab, "webhooks", "rotate", "hook", *in_a, token=token)).startswith("whsec_")
+        nothing = gaitway(lab, "webhooks", "change", "hook", *in_a, token=token)
+        assert (nothing.exit_code, "Say what changes: --url" in nothing.stderr) == (2, True)
+        changes = ("--event", "job.failed", "--jobs", "all", "--stop", "--json")
+        changed = json.loads(
+            succeeded(gaitway(lab, "webhooks", "change", "hook", *in_a, *changes, token=token))
+        )
+        assert (changed["events"], changed["jobs"]) == (["job.failed"], "all")
+        assert changed["stopped"] == "Stopped by two."
         of_job = succeeded(gaitway(lab, "webhooks", "deliveries", "--job", job_id, "--json", token=token))
         assert [one["event"] for one in json.loads(of_job)] == ["job.cancelled"]
         succeeded(gaitway(lab, "webhooks", "delete", "hook", *in_a, "--yes", token=token))

@@ -269,8 +269,11 @@ def _webhooks(client: Either) -> None:
     made = client.add_webhook("lab", "https://hooks.example.org/gaitway")
     assert [found.name for found in client.webhooks()] == ["lab"]
     assert made.secret is not None
+    assert client.change_webhook("lab", jobs="named", active=False).stopped == "Stopped by hand."
+    assert client.rotate_secret("lab").secret != made.secret
     sent = client.test_webhook("lab")
-    assert [found.id for found in client.deliveries("lab")] == [sent.id]
+    again = client.resend(sent.id)
+    assert [found.id for found in client.deliveries("lab")] == [again.id, sent.id]
     job_id = client.submit(environment="ant").id
     assert list(client.job_deliveries(job_id)) == []
     client.delete_webhook("lab")

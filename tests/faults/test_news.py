@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from ipaddress import ip_network
 from threading import Event
 
@@ -23,8 +23,8 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.news.channels import BadAddress, check_url, send_by_apprise
 from core.news.webhook import EVENTS, Delivery, Webhook, new_signing_secret, signed_headers
 from tests.contract.recording import NOW, Database, cancelled, queued_job
-from tests.receivers import Receiver, receiving
-from worker.news import Post, Sender, outcome_of
+from tests.receivers import Received, Receiver, receiving
+from worker.news import Head, Post, Sender, outcome_of, wait_of
 
 HERE = (ip_network("127.0.0.1/32"),)
 # Runs a sender as the reconciler does.
@@ -82,6 +82,15 @@ def wait_for(
     raise AssertionError(store.deliveries().deliveries)
 
 
+def signature(received: Received, secret: SecretStr | None) -> str:
+    """By hand, as a receiver makes it."""
+    assert secret is not None
+    key = base64.b64decode(secret.get_secret_value().removeprefix("whsec_"))
+    said = [received.headers[name].encode() for name in ("webhook-id", "webhook-timestamp")]
+    digest = hmac.new(key, b".".join([*said, received.body]), hashlib.sha256).digest()
+    return f"v1,{base64.b64encode(digest).decode()}"
+
+
 def has_failed_once(delivery: Delivery) -> bool:
     return delivery.error is not None
 
@@ -104,18 +113,23 @@ def test_the_end_of_a_job_is_there_within_two_seconds_and_signed(job_store: Post
             1,
             received.headers["webhook-id"],
         )
-    # By hand, as a receiver does it.
-    assert webhook.secret is not None
-    key = base64.b64decode(webhook.secret.get_secret_value().removeprefix("whsec_"))
-    said = b".".join(
-        [
-            received.headers["webhook-id"].encode(),
-            received.headers["webhook-timestamp"].encode(),
-            received.body,
-        ]
-    )
-    wanted = base64.b64encode(hmac.new(key, said, hashlib.sha256).digest()).decode()
-    assert received.headers["webhook-signature"] == f"v1,{wanted}"
+    assert received.headers["webhook-signature"] == signature(received, webhook.secret)
+
+
+def test_the_secret_before_a_new_one_signs_beside_it_for_a_day(
+    job_store: PostgresJobStore, database: Database
+) -> None:
+    with receiving() as receiver, sending(job_store):
+        old, new = add_webhook(job_store, receiver.url), new_signing_secret()
+        job_store.rotate_secret("default", "hook", new, Actor())
+        end_a_job(job_store)
+        received = receiver.next()
+        both = f"{signature(received, new)} {signature(received, old.secret)}"
+        assert received.headers["webhook-signature"] == both
+        database.change("UPDATE webhooks SET old_secret_until = now()")
+        end_a_job(job_store)
+        received = receiver.next()
+        assert received.headers["webhook-signature"] == signature(received, new)
 
 
 def test_a_receiver_that_fails_twice_gets_it_at_the_third_try(
@@ -133,6 +147,16 @@ def test_a_receiver_that_fails_twice_gets_it_at_the_third_try(
         ids.add(receiver.next().headers["webhook-id"])
         (delivery,) = wait_for(job_store, is_delivered)
         assert (delivery.attempts, delivery.error, len(ids)) == (3, None, 1)
+
+
+def test_a_receiver_that_asks_for_a_later_try_gets_it_then(job_store: PostgresJobStore) -> None:
+    with receiving(lambda number: (503, "3600")) as receiver, sending(job_store):
+        add_webhook(job_store, receiver.url)
+        end_a_job(job_store)
+        (delivery,) = wait_for(job_store, has_failed_once)
+        assert delivery.next_attempt_at is not None
+        wait = delivery.next_attempt_at - job_store.now()
+        assert timedelta(minutes=59) < wait <= timedelta(hours=1)
 
 
 def errors_of(webhook: str, store: PostgresJobStore) -> Sequence[str | None]:
@@ -303,14 +327,36 @@ def test_a_known_address_is_taken() -> None:
 
 
 def test_what_an_answer_means() -> None:
-    assert outcome_of(202).error is None
-    assert outcome_of(410).stops
-    assert not outcome_of(503).is_final
+    assert outcome_of(Head(202)).error is None
+    assert outcome_of(Head(410)).stops
+    assert not outcome_of(Head(503)).is_final
+    for status, wait in ((429, 7), (503, 7), (500, None)):
+        answer = outcome_of(Head(status, retry_after="7"))
+        assert answer.wait == (wait and timedelta(seconds=wait))
+
+
+@pytest.mark.parametrize(
+    ("said", "seconds"),
+    [
+        ("120", 120),
+        (" 0 ", 0),
+        ("Sat, 21 Nov 2026 12:05:00 GMT", 300),
+        ("Sat, 21 Nov 2026 11:00:00 GMT", 0),
+        ("Sat, 21 Nov 2026 12:05:00", 300),
+        *(
+            (wrong, None)
+            for wrong in ("", "-1", "1.5", "soon", "9" * 30, "9" * 5000, "Sat, 99 Nov 2026 12:05:00")
+        ),
+    ],
+)
+def test_a_retry_after_is_seconds_or_a_date(said: str, seconds: int | None) -> None:
+    now = datetime(2026, 11, 21, 12, tzinfo=UTC)
+    assert wait_of(said, now) == (None if seconds is None else timedelta(seconds=seconds))
 
 
 @pytest.mark.parametrize("location", ["", "/secret", "http://[secret"])
 def test_a_redirect_to_no_whole_address_says_nothing_of_it(location: str) -> None:
-    assert outcome_of(302, location).error == "It redirects; redirects are not followed."
+    assert outcome_of(Head(302, location)).error == "It redirects; redirects are not followed."
 
 
 def test_a_defect_of_the_record_does_not_end_the_sender(
@@ -339,6 +385,6 @@ def test_the_signature_is_that_of_the_specification() -> None:
         "msg_p5jXN8AQM9LWM0D4loKWxJek",
         datetime.fromtimestamp(1614265330, UTC),
         b'{"test": 2432232314}',
-        "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw",
+        ["whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"],
     )
     assert headers["webhook-signature"] == "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="

@@ -8,6 +8,7 @@ sender that dies runs out, and then another one sends again.
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from pydantic import SecretStr
 from sqlalchemy import (
     Connection,
     Row,
@@ -30,7 +31,7 @@ from core.adapters.postgres.accounts import checked_cursor, note_audit, require_
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.rows import columns, interval, words
 from core.adapters.postgres.tables import NOW, deliveries, members, news, projects, users, webhooks
-from core.errors import TooManyWebhooks, WebhookExists, WebhookNotFound
+from core.errors import DeliveryNotFound, TooManyWebhooks, WebhookExists, WebhookNotFound, WebhookUnsigned
 from core.jobs.job import Job
 from core.jobs.news import news_of
 from core.jobs.status import JobStatus
@@ -39,6 +40,8 @@ from core.news.webhook import (
     CLAIM,
     KEPT,
     MAX_WEBHOOKS,
+    OVERLAP,
+    Change,
     Delivery,
     Due,
     News,
@@ -46,9 +49,12 @@ from core.news.webhook import (
     Webhook,
     most_at_once,
     pause_after,
+    shown_url,
     wants,
 )
 
+_PLACE = and_(deliveries.c.project == webhooks.c.project, deliveries.c.webhook == webhooks.c.name)
+_COPIED = ("project", "webhook", "message", "event", "job", "document")
 _SHOWN = [column for column in deliveries.c if column.name not in ("document", "project")]
 # `NOW` changes within a statement, and so cannot bound the scan of an index.
 _IS_DUE = and_(deliveries.c.status == "waiting", deliveries.c.next_attempt_at <= func.statement_timestamp())
@@ -69,7 +75,7 @@ class NewsQueries(Session):
     """The part of a JobStore that has webhooks and what they are told."""
 
     def add_webhook(self, webhook: Webhook, actor: Actor) -> Webhook:
-        values = webhook.model_dump(exclude={"url", "secret"})
+        values = webhook.model_dump(exclude={"url", "secret", "old_secret"})
         values["url"] = webhook.url.get_secret_value()
         values["secret"] = None if webhook.secret is None else webhook.secret.get_secret_value()
         new = insert(webhooks).values(values).on_conflict_do_nothing(index_elements=["project", "name"])
@@ -106,6 +112,37 @@ class NewsQueries(Session):
         with self._statements() as connection:
             return _find(connection, project, name)
 
+    def change_webhook(self, project: str, name: str, change: Change, actor: Actor) -> Webhook:
+        noted = values = change.model_dump(exclude_none=True, exclude={"url", "active"})
+        if change.url is not None:
+            url = change.url.get_secret_value()
+            values, noted = {**values, "url": url}, {**noted, "url": shown_url(url)}
+        if change.active is not None:
+            noted = {**noted, "active": change.active}
+        if change.active:
+            values = {**values, "stopped": None}
+        with self._transaction() as connection:
+            if values:
+                connection.execute(update(webhooks).where(_is(project, name)).values(values))
+            if change.active is False:
+                _stop(connection, project, name, f"Stopped by {actor.user or 'hand'}.")
+            if noted:
+                note_audit(connection, actor, "webhook.changed", f"project {project}", webhook=name, **noted)
+            return _find(connection, project, name)
+
+    def rotate_secret(self, project: str, name: str, secret: SecretStr, actor: Actor) -> Webhook:
+        values = {
+            "old_secret": webhooks.c.secret,
+            "old_secret_until": NOW + interval(OVERLAP),
+            "secret": secret.get_secret_value(),
+        }
+        has_one = and_(_is(project, name), webhooks.c.secret.is_not(None))
+        with self._transaction() as connection:
+            if connection.execute(update(webhooks).where(has_one).values(values)).rowcount == 0:
+                raise WebhookUnsigned(_find(connection, project, name).name)
+            note_audit(connection, actor, "webhook.rotated", f"project {project}", webhook=name)
+            return _find(connection, project, name)
+
     def remove_webhook(self, project: str, name: str, actor: Actor) -> None:
         gone = delete(webhooks).where(_is(project, name)).returning(webhooks.c.name)
         with self._transaction() as connection:
@@ -119,6 +156,30 @@ class NewsQueries(Session):
             values = {**_delivery_values(webhook, news), "created_at": NOW, "next_attempt_at": NOW}
             added = insert(deliveries).values(values)
             return _delivery(connection.execute(added.returning(*_SHOWN)).one())
+
+    def webhook_of(self, delivery: int) -> Webhook:
+        its = select(webhooks).join(deliveries, _PLACE).where(deliveries.c.id == delivery)
+        with self._statements() as connection:
+            row = connection.execute(its).first()
+        if row is None:
+            raise DeliveryNotFound(delivery)
+        return _webhook(row)
+
+    def resend(self, delivery: int) -> Delivery:
+        # A removal of the webhook waits for the new one, and removes it, too.
+        known = select(deliveries).join(webhooks, _PLACE).where(deliveries.c.id == delivery)
+        known = known.with_for_update(read=True, key_share=True, of=webhooks)
+        with self._transaction() as connection:
+            row = connection.execute(known).first()
+            if row is None:
+                raise DeliveryNotFound(delivery)
+            copied = {column: getattr(row, column) for column in _COPIED}
+            added = insert(deliveries).values({**copied, "created_at": NOW, "next_attempt_at": NOW})
+            new = _delivery(connection.execute(added.returning(*_SHOWN)).one())
+            _end_waiting(
+                connection, deliveries.c.id == delivery, f"Sent again by hand, as delivery {new.id}."
+            )
+        return new
 
     def deliveries(
         self,
@@ -146,8 +207,8 @@ class NewsQueries(Session):
             if not found:
                 return 0
             known = select(webhooks).where(webhooks.c.project.in_({row.project for row in found}), _TELLS)
-            # A removal waits until these deliveries are there, and removes them, too.
-            known = known.with_for_update(read=True, key_share=True)
+            # A removal or a stop waits until these deliveries are there, and ends them, too.
+            known = known.with_for_update(read=True)
             listeners = [_webhook(row) for row in connection.execute(known)]
             new = [
                 {**_delivery_values(webhook, message), "created_at": row.created_at}
@@ -164,8 +225,7 @@ class NewsQueries(Session):
     def claim_deliveries(
         self, limit: int, *, is_http: bool, but_not: Collection[tuple[str, str]] = ()
     ) -> Sequence[Due]:
-        place = (deliveries.c.project == webhooks.c.project) & (deliveries.c.webhook == webhooks.c.name)
-        of_one = select(deliveries.c.id, deliveries.c.next_attempt_at).where(place, _IS_DUE)
+        of_one = select(deliveries.c.id, deliveries.c.next_attempt_at).where(_PLACE, _IS_DUE)
         of_one = (
             of_one.order_by(deliveries.c.next_attempt_at)
             .limit(most_at_once(is_http=is_http))
@@ -179,7 +239,7 @@ class NewsQueries(Session):
         locked = select(deliveries.c.id).where(deliveries.c.id.in_(due.limit(limit)), _IS_DUE)
         claimed = (
             update(deliveries)
-            .where(deliveries.c.id.in_(locked.with_for_update(skip_locked=True)), place)
+            .where(deliveries.c.id.in_(locked.with_for_update(skip_locked=True)), _PLACE)
             .values(next_attempt_at=NOW + CLAIM, attempts=deliveries.c.attempts + 1)
             .returning(
                 deliveries.c.id.label("delivery"),
@@ -193,7 +253,8 @@ class NewsQueries(Session):
             return [_due(row) for row in connection.execute(claimed)]
 
     def note_outcome(self, due: Due, outcome: Outcome) -> None:
-        pause = None if outcome.error is None or outcome.is_final else pause_after(due.attempt)
+        is_over = outcome.error is None or outcome.is_final
+        pause = None if is_over else pause_after(due.attempt, outcome.wait)
         values: dict[str, Any] = {"answer": outcome.answer, "error": words(outcome.error)}
         if pause is not None:
             values["next_attempt_at"] = NOW + interval(pause)
@@ -201,10 +262,15 @@ class NewsQueries(Session):
             status = "delivered" if outcome.error is None else "failed"
             values |= {"status": status, "next_attempt_at": None, "ended_at": NOW}
         its = and_(deliveries.c.id == due.id, deliveries.c.attempts == due.attempt)
+        # Another address than the one that was asked goes on.
+        asked = select(webhooks.c.name).where(webhooks.c.url == due.webhook.url.get_secret_value())
+        asked = asked.where(_is(due.webhook.project, due.webhook.name)).with_for_update()
         with self._transaction() as connection:
+            # The webhook before its deliveries, as in changes of it: so no two wait for each other.
+            stops = outcome.stops and connection.execute(asked).first() is not None
             connection.execute(update(deliveries).where(its, deliveries.c.status == "waiting").values(values))
-            if outcome.stops:
-                _stop(connection, due.webhook, outcome.error)
+            if stops:
+                _stop(connection, due.webhook.project, due.webhook.name, outcome.error)
 
 
 def enter(connection: Connection, job: Job, before: JobStatus) -> None:
@@ -225,12 +291,21 @@ def forget_old(connection: Connection, limit: int = 5000) -> bool:
     return gone.rowcount == limit
 
 
-def _stop(connection: Connection, webhook: Webhook, why: str | None) -> None:
-    """Send this webhook nothing more."""
-    connection.execute(update(webhooks).where(_is(webhook.project, webhook.name)).values(stopped=words(why)))
-    its = and_(deliveries.c.project == webhook.project, deliveries.c.webhook == webhook.name)
+def forget_old_secrets(connection: Connection) -> None:
+    """Remove secrets that sign no more."""
+    old = update(webhooks).where(webhooks.c.old_secret_until <= NOW)
+    connection.execute(old.values(old_secret=None, old_secret_until=None))
+
+
+def _stop(connection: Connection, project: str, name: str, why: str | None) -> None:
+    """Tell this webhook nothing more, and end what waits for it."""
+    connection.execute(update(webhooks).where(_is(project, name)).values(stopped=words(why)))
+    _end_waiting(connection, and_(deliveries.c.project == project, deliveries.c.webhook == name), why)
+
+
+def _end_waiting(connection: Connection, which: Any, why: str | None) -> None:
     ended = {"status": "failed", "next_attempt_at": None, "ended_at": NOW, "error": words(why)}
-    connection.execute(update(deliveries).where(its, deliveries.c.status == "waiting").values(ended))
+    connection.execute(update(deliveries).where(which, deliveries.c.status == "waiting").values(ended))
 
 
 def _delivery_values(webhook: Webhook, message: News) -> dict[str, Any]:

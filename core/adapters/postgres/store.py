@@ -10,7 +10,7 @@ from core.adapters.postgres.feeds import FeedQueries
 from core.adapters.postgres.jobs import JobQueries
 from core.adapters.postgres.leases import LeaseQueries
 from core.adapters.postgres.models import ModelQueries
-from core.adapters.postgres.news import NewsQueries, forget_old
+from core.adapters.postgres.news import NewsQueries, forget_old, forget_old_secrets
 from core.adapters.postgres.sweeps import SweepQueries
 from core.adapters.postgres.tables import NOW, idempotency_keys, pulse, workers
 from core.adapters.postgres.turns import TurnQueries
@@ -58,6 +58,7 @@ class PostgresJobStore(
             connection.execute(delete(idempotency_keys).where(idempotency_keys.c.forgotten_at <= NOW))
             connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
             fold(connection)
+            forget_old_secrets(connection)
         # A transaction each: there may be more than one statement has time for.
         is_more = True
         while is_more:

@@ -427,6 +427,8 @@ webhooks = Table(
     Column("secret", Text),
     _moment("created_at", nullable=False),
     Column("stopped", Text),
+    Column("old_secret", Text),
+    _moment("old_secret_until"),
 )
 
 news = Table(
@@ -469,6 +471,7 @@ deliveries = Table(
 )
 Index("deliveries_by_webhook", deliveries.c.project, deliveries.c.webhook, deliveries.c.id)
 Index("deliveries_by_job", deliveries.c.job, deliveries.c.id, postgresql_where=deliveries.c.job.isnot(None))
+Index("deliveries_ended", deliveries.c.ended_at, postgresql_where=deliveries.c.ended_at.isnot(None))
 _IS_WAITING = text("status = 'waiting'")
 Index(
     "deliveries_due",

@@ -23,6 +23,7 @@ from api.routes.bulk import MOST_AT_ONCE
 from api.sharing.importing import MOST_LINES, MOST_LOG_BYTES, MOST_VALUES
 from api.submissions import MAX_OPTIONS_LENGTH
 from core.bounds import LONGEST_NAME, LONGEST_NOTE, MOST_ATTEMPTS, MOST_IN_A_ROW
+from core.news.webhook import EVENTS
 from core.settings import ApiSettings
 from core.sweeps.spec import MAX_TRIALS
 from tests.faults.campaign.largest_import import Import
@@ -429,6 +430,15 @@ def _webhook(service: Service, route: str) -> Iterator[Form]:
     yield Form(route, "", "POST", _HOOKS, (201, 409), _json(document), {"Content-Type": _JSON})
 
 
+def _webhook_change(service: Service, route: str) -> Iterator[Form]:
+    document = {"url": f"https://h.invalid/{'p' * 1900}", "events": [*EVENTS], "jobs": "all", "active": True}
+    yield Form(route, "", "PATCH", f"{_HOOKS}/none", (404,), _json(document), {"Content-Type": _JSON})
+
+
+def _resend(service: Service, route: str) -> Iterator[Form]:
+    yield Form(route, "", "POST", f"/deliveries/{'9' * 18}/resend", (404,))
+
+
 def _of_webhook(method: str, part: str) -> Forms:
     def made(service: Service, route: str) -> Iterator[Form]:
         yield Form(route, "", method, f"{_HOOKS}/none{part}", (404,))
@@ -450,9 +460,12 @@ _FORMS: dict[str, Forms] = {
     # Another of the same name is refused once it has been read.
     "POST /projects/{project}/webhooks": _webhook,
     "GET /projects/{project}/webhooks/{webhook}": _of_webhook("GET", ""),
+    "PATCH /projects/{project}/webhooks/{webhook}": _webhook_change,
     "DELETE /projects/{project}/webhooks/{webhook}": _of_webhook("DELETE", ""),
+    "POST /projects/{project}/webhooks/{webhook}/rotate": _of_webhook("POST", "/rotate"),
     "POST /projects/{project}/webhooks/{webhook}/test": _of_webhook("POST", "/test"),
     "GET /projects/{project}/webhooks/{webhook}/deliveries": _of_webhook("GET", "/deliveries?limit=200"),
+    "POST /deliveries/{delivery_id}/resend": _resend,
     "GET /jobs/{job_id}/deliveries": _of_import("/deliveries?limit=200"),
     "GET /workers/settings": _of_accounts("GET", "/workers/settings"),
     "GET /users": _of_accounts("GET", "/users"),
