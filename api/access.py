@@ -133,6 +133,11 @@ ROUTES: Mapping[str, Access] = {
     "GET /projects": _READ,
     "POST /projects": _ADMIN,
     "PATCH /projects/{name}": _ADMIN,
+    "GET /projects/{project}/retention": _READ,
+    "PUT /projects/{project}/retention": _ADMIN,
+    "DELETE /projects/{project}/retention": _ADMIN,
+    # It changes nothing.
+    "POST /projects/{project}/retention/preview": _READ,
     "GET /projects/{project}/webhooks": _READ,
     "POST /projects/{project}/webhooks": Access(Role.SUBMITTER),
     "GET /projects/{project}/webhooks/{webhook}": _READ,

@@ -36,6 +36,7 @@ from gaitway.schema import (
     JobView,
     OriginView,
     ProgressView,
+    RemovedView,
     SliceView,
     SlotsView,
     SlotView,
@@ -112,6 +113,9 @@ def job_view(
         owner=job.owner,
         project=job.project,
         imported_from=None if job.imported_from is None else OriginView.model_validate(job.imported_from),
+        removed=tuple(
+            RemovedView(rule=one.rule, at=one.at, files=one.files, bytes=one.size) for one in job.removed
+        ),
         correlation_id=job.correlation_id,
         progress=ProgressView.model_validate(progress),
         attempts=tuple(AttemptView.model_validate(attempt) for attempt in job.attempts),

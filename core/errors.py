@@ -10,7 +10,7 @@ GaitwayError
 """
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -260,6 +260,22 @@ class ProjectNotFound(NotFound):
 
     def __init__(self, name: str) -> None:
         super().__init__(f"There is no project {name!r}; `gaitway projects list` shows all.", project=name)
+
+
+class RetentionNeeded(Conflict):
+    code = "retention-needed"
+    title = "Jobs need what the rules would remove"
+
+    def __init__(self, project: str, needed: Mapping[str, Sequence[str]]) -> None:
+        """needed: jobs that would lose something, each with the unfinished jobs that need it."""
+        parts = [f"job {job} is needed by {', '.join(by[:5])}" for job, by in [*needed.items()][:5]]
+        more = f"; and {len(needed) - 5} more" if len(needed) > 5 else ""
+        super().__init__(
+            f"The rules would remove checkpoints that unfinished jobs need: {'; '.join(parts)}{more}. "
+            "Wait for their end, cancel them, give the needed job the label `keep`, or keep more.",
+            project=project,
+            needed={job: [*by] for job, by in [*needed.items()][:100]},
+        )
 
 
 class TokenNotFound(NotFound):

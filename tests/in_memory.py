@@ -1,7 +1,7 @@
 """An object store and a job queue in this process' memory: they pass the contracts of the real ones."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -64,6 +64,11 @@ class MemoryObjectStore:
                 if key.startswith(prefix)
             ]
         return iter(sorted(found, key=lambda info: info.key))
+
+    def delete(self, keys: Iterable[str]) -> None:
+        with self._lock:
+            for key in keys:
+                self._objects.pop(key, None)
 
     def delete_prefix(self, prefix: str) -> None:
         with self._lock:

@@ -19,7 +19,7 @@ from core.adapters.startup import check_stores, prepare_database, prepare_worker
 from core.adapters.wiring import job_queue, job_store, object_store
 from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
-from core.jobs import feeds, orphans
+from core.jobs import feeds, orphans, removal
 from core.jobs.ending import end_deletions
 from core.jobs.reconciliation import Reconciler, StrayMessages
 from core.jobs.tallies import Report, Tallies
@@ -105,6 +105,7 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
         Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
         Chore("deletions", _DELETIONS_EVERY_S, partial(end_deletions, store=store, objects=objects)),
         Chore("uploads", _TIDY_EVERY_S, partial(orphans.end_unfinished, store=store, objects=objects)),
+        LongChore("retention", _TIDY_EVERY_S, partial(removal.apply, store=store, objects=objects)),
         LongChore("orphans", _TIDY_EVERY_S, partial(orphans.sweep, store=store, objects=objects)),
     ]
 

@@ -14,6 +14,7 @@ from api.routes import (
     page,
     previews,
     replay,
+    retention,
     session,
     sharing,
     streams,
@@ -34,6 +35,7 @@ ROUTERS = (
     previews.router,  # Before the catalog's, whose ids may have slashes.
     catalog.router,
     accounts.router,
+    retention.router,
     webhooks.router,
     joining.router,
     session.router,

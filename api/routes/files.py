@@ -23,6 +23,7 @@ from core.errors import (
     Rejected,
 )
 from core.jobs.job import Artifact, ArtifactRole, Job
+from core.jobs.retention import removed_by_rule
 from core.jobs.source import no_such_seed
 from core.jobs.spec import TrainSpec
 from gaitway.schema import ArtifactView
@@ -257,6 +258,8 @@ def absence(job: Job, wanted: str, role: ArtifactRole | None = None) -> NotFound
         return ArtifactNotReady(f"Job {job.id} is {job.status} and has no {wanted} yet.{instead}", **facts)
     because = f" ({job.reason}: {job.message})" if job.reason else ""
     sentence = f"Job {job.id} has ended as {job.status}{because} without a {wanted}.{instead}"
+    if role is not None:
+        sentence += removed_by_rule(job, role)
     if role in ("video", "poster") and any(artifact.role == "replay" for artifact in job.artifacts):
         sentence += " Its replay is there, in 3D on its page."
         if isinstance(job.spec, TrainSpec):

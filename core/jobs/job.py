@@ -113,6 +113,15 @@ class Origin(Stored):
     imported_at: datetime
 
 
+class Removed(Stored):
+    """Files that a retention rule of the project has removed. at: the last time; size: bytes of all."""
+
+    rule: str
+    at: datetime
+    files: int
+    size: int
+
+
 class UnreadableJob(Stored):
     """The readable part of a record that this version does not understand. problem: a sentence."""
 
@@ -137,7 +146,7 @@ class Job(Stored):
 
     not_before: when a queued job may be tried again, after an attempt that failed. owner: a user's name; None
     without accounts. correlation_id: of the request that submitted it, or the id of the sweep that began it;
-    each process logs it.
+    each process logs it. removed: by retention rules, which alone write it.
     """
 
     id: str
@@ -154,6 +163,7 @@ class Job(Stored):
     artifacts: tuple[Artifact, ...] = ()
     progress: Progress = Progress()
     imported_from: Origin | None = None
+    removed: tuple[Removed, ...] = ()
     owner: str | None = None
     project: str = DEFAULT_PROJECT
     correlation_id: str | None = None

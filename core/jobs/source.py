@@ -8,6 +8,7 @@ from core.environments import catalog
 from core.errors import JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.resolved import resolve_environment
+from core.jobs.retention import removed_by_rule
 from core.jobs.spec import EnvironmentSpec, JobSpec, RolloutSpec, Source
 
 # Numbers below these parts of the options change what an environment pays, how an episode begins and when it
@@ -71,7 +72,9 @@ def _checkpoint(source: Job, step: int | None, pointer: str) -> Artifact:
         steps = [str(a.step) for a in source.artifacts if a.role == "checkpoint"]
         wanted = "no checkpoint" if step is None else f"no checkpoint of step {step}"
         known = f"; it has {', '.join(steps)}" if steps else ""
-        detail = f"Job {source.id} ({source.status}) has {wanted}{known}."
+        detail = (
+            f"Job {source.id} ({source.status}) has {wanted}{known}.{removed_by_rule(source, 'checkpoint')}"
+        )
         raise Rejected(detail, [Problem(pointer if step is None else f"{pointer}/step", detail)])
     return checkpoint
 

@@ -15,6 +15,7 @@ from core.jobs.forecast import TurnFacts
 from core.jobs.job import Job, Progress, UnreadableJob, utc_now
 from core.jobs.metrics import Block, Measurement
 from core.jobs.patch import JobPatch
+from core.jobs.retention import RetentionStore
 from core.jobs.slots import QueueCount
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
@@ -188,7 +189,7 @@ class Mark:
     num_logs: int
 
 
-class JobStore(ModelStore, NewsStore, UsageStore, WorkerStore, Protocol):
+class JobStore(ModelStore, NewsStore, RetentionStore, UsageStore, WorkerStore, Protocol):
     """The record. Every method raises RecordsUnavailable when the store cannot be reached.
 
     Each write is one transaction. `save` is a compare-and-set on the version; `renew` and `record` carry an

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -73,6 +73,10 @@ class ObjectStore(Protocol):
 
         A listing of any length takes little memory; its later pages may be fetched while it is read.
         """
+        ...
+
+    def delete(self, keys: Iterable[str]) -> None:
+        """Remove these objects; a missing one is no error."""
         ...
 
     def delete_prefix(self, prefix: str) -> None:

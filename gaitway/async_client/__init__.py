@@ -10,6 +10,7 @@ from gaitway.addresses import address
 from gaitway.async_client.accounts import AsyncAccounts
 from gaitway.async_client.files import AsyncFiles
 from gaitway.async_client.jobs import AsyncJob
+from gaitway.async_client.retention import AsyncRetention
 from gaitway.async_client.sweeps import AsyncSweeps
 from gaitway.async_client.webhooks import AsyncWebhooks
 from gaitway.credentials import token_for
@@ -18,7 +19,7 @@ from gaitway.retry import Retry
 __all__ = ["AsyncClient", "AsyncJob"]
 
 
-class AsyncClient(AsyncFiles, AsyncSweeps, AsyncAccounts, AsyncWebhooks):
+class AsyncClient(AsyncFiles, AsyncSweeps, AsyncAccounts, AsyncRetention, AsyncWebhooks):
     """Talks to one service. Usable as a context manager; `Client` also from several threads.
 
     `AsyncClient` has the methods of `Client`, awaited; `list`, `sweeps`, `models`, `workers`, `events` and

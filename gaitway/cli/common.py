@@ -26,6 +26,9 @@ JobName = Annotated[
     str, typer.Argument(metavar="JOB", help="A job's id, an unambiguous beginning or end of it, or `last`.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
+Project = Annotated[
+    str | None, typer.Option(help="Needless with one project of your own; without accounts, default.")
+]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 
 
@@ -71,6 +74,16 @@ def client_of(context: typer.Context) -> Client:
     client = Client(context.find_object(str))
     context.call_on_close(client.close)
     return client
+
+
+def project_of(client: Client, project: str | None) -> str:
+    """The named one, or one's only one. Raises typer.Exit(2)."""
+    if project is not None:
+        return project
+    own = client.whoami().projects
+    if len(own) > 1:
+        raise wrong_usage(f"You are in several projects: say which by --project, one of {', '.join(own)}.")
+    return own[0] if own else "default"
 
 
 def job_id(client: Client, name: str) -> str:

@@ -14,6 +14,7 @@ from gaitway.cli import (
     files,
     jobs,
     models,
+    retention,
     service,
     submit,
     sweeps,
@@ -91,6 +92,7 @@ app.command("import")(files.import_job)
 app.add_typer(accounts.users, name="users")
 app.add_typer(accounts.projects, name="projects")
 app.add_typer(accounts.tokens, name="tokens")
+app.add_typer(retention.retention, name="retention")
 app.add_typer(webhooks.webhooks, name="webhooks")
 app.add_typer(models.models, name="models")
 app.add_typer(sweeps.sweeps, name="sweeps")

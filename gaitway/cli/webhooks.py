@@ -9,16 +9,23 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, Yes, client_of, complain, confirm, job_id, print_json, wrong_usage
+from gaitway.cli.common import (
+    AsJson,
+    Project,
+    Yes,
+    client_of,
+    complain,
+    confirm,
+    job_id,
+    print_json,
+    project_of,
+    wrong_usage,
+)
 from gaitway.cli.terminal import Console
-from gaitway.client import Client
 from gaitway.schema import DeliveryView, WebhookView
 
 webhooks = typer.Typer(help="Who is told when a job starts or ends.", no_args_is_help=True)
 Name = Annotated[str, typer.Argument(metavar="NAME")]
-Project = Annotated[
-    str | None, typer.Option(help="Needless with one project of your own; without accounts, default.")
-]
 _TEST_S = 30.0
 _COLUMNS = ("NAME", "ADDRESS", "EVENTS", "JOBS", "OWNER", "STOPPED")
 
@@ -41,7 +48,7 @@ def add(  # noqa: PLR0913 # A command line's options.
 ) -> None:
     """Tell somebody of jobs. The secret that signs the messages is printed once, on stdout."""
     client = client_of(context)
-    made = client.add_webhook(name, url, project=_project(client, project), events=event, jobs=jobs)
+    made = client.add_webhook(name, url, project=project_of(client, project), events=event, jobs=jobs)
     if as_json:
         print_json(made)
         return
@@ -55,7 +62,7 @@ def add(  # noqa: PLR0913 # A command line's options.
 def list_webhooks(context: typer.Context, project: Project = None, as_json: AsJson = False) -> None:
     """List a project's webhooks, without their secrets."""
     client = client_of(context)
-    found = client.webhooks(_project(client, project))
+    found = client.webhooks(project_of(client, project))
     if as_json:
         print_json(found)
         return
@@ -80,7 +87,7 @@ def change(  # noqa: PLR0913 # A command line's options.
     client = client_of(context)
     if url is None and not event and jobs is None and active is None:
         raise wrong_usage("Say what changes: --url, --event, --jobs, --stop or --start.")
-    inside = _project(client, project)
+    inside = project_of(client, project)
     changed = client.change_webhook(
         name, project=inside, url=url, events=event or None, jobs=jobs, active=active
     )
@@ -94,7 +101,7 @@ def change(  # noqa: PLR0913 # A command line's options.
 def rotate(context: typer.Context, name: Name, project: Project = None, as_json: AsJson = False) -> None:
     """Sign by a new secret, which is printed once, on stdout; the old one signs beside it for a day."""
     client = client_of(context)
-    made = client.rotate_secret(name, project=_project(client, project))
+    made = client.rotate_secret(name, project=project_of(client, project))
     if as_json:
         print_json(made)
         return
@@ -106,7 +113,7 @@ def rotate(context: typer.Context, name: Name, project: Project = None, as_json:
 def delete(context: typer.Context, name: Name, project: Project = None, yes: Yes = False) -> None:
     """Send nothing more to a webhook, and forget what was sent."""
     client = client_of(context)
-    inside = _project(client, project)
+    inside = project_of(client, project)
     confirm(f"Delete the webhook {name} of the project {inside}?", yes=yes)
     client.delete_webhook(name, project=inside)
     print(f"The webhook {name} is deleted.")
@@ -116,7 +123,7 @@ def delete(context: typer.Context, name: Name, project: Project = None, yes: Yes
 def send_test(context: typer.Context, name: Name, project: Project = None) -> None:
     """Send a test to a webhook, and say what came of it."""
     client = client_of(context)
-    inside = _project(client, project)
+    inside = project_of(client, project)
     sent, until = client.test_webhook(name, project=inside), time.monotonic() + _TEST_S
     while not (sent.error or sent.ended_at) and time.monotonic() < until:
         time.sleep(0.3)
@@ -157,7 +164,7 @@ def deliveries(
     if job is not None:
         found = client.job_deliveries(job_id(client, job))[:limit]
     else:
-        found = list(client.deliveries(str(name), project=_project(client, project), limit=limit))
+        found = list(client.deliveries(str(name), project=project_of(client, project), limit=limit))
     if as_json:
         print_json(found)
         return
@@ -174,16 +181,6 @@ def deliveries(
         for one in found
     ]
     _print(("ID", "WHEN", "WEBHOOK", "EVENT", "JOB", "TRIES", "OUTCOME"), rows)
-
-
-def _project(client: Client, project: str | None) -> str:
-    """The named one, or one's only one. Raises typer.Exit(2)."""
-    if project is not None:
-        return project
-    own = client.whoami().projects
-    if len(own) > 1:
-        raise wrong_usage(f"You are in several projects: say which by --project, one of {', '.join(own)}.")
-    return own[0] if own else "default"
 
 
 def _row(one: WebhookView) -> Sequence[str]:

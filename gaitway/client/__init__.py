@@ -11,6 +11,7 @@ from gaitway.addresses import address
 from gaitway.client.accounts import Accounts
 from gaitway.client.files import Files
 from gaitway.client.jobs import Job
+from gaitway.client.retention import Retention
 from gaitway.client.sweeps import Sweeps
 from gaitway.client.webhooks import Webhooks
 from gaitway.credentials import token_for
@@ -19,7 +20,7 @@ from gaitway.retry import Retry
 __all__ = ["Client", "Job"]
 
 
-class Client(Files, Sweeps, Accounts, Webhooks):
+class Client(Files, Sweeps, Accounts, Retention, Webhooks):
     """Talks to one service. Usable as a context manager; `Client` also from several threads.
 
     `AsyncClient` has the methods of `Client`, awaited; `list`, `sweeps`, `models`, `workers`, `events` and

@@ -39,9 +39,17 @@ from gaitway.schema.jobs import (
     OriginView,
     OutcomeView,
     ProgressView,
+    RemovedView,
     TurnView,
 )
 from gaitway.schema.news import DeliveryView, NewWebhookView, WebhookView
+from gaitway.schema.retention import (
+    NeededView,
+    RemovalView,
+    RemovedRoleView,
+    RetentionPreviewView,
+    RetentionView,
+)
 from gaitway.schema.sweeps import GroupView, SweepDetails, SweepView, TrialView
 
 __all__ = [
@@ -58,6 +66,7 @@ __all__ = [
     "Metrics",
     "MetricsRow",
     "ModelView",
+    "NeededView",
     "NewTokenView",
     "NewWebhookView",
     "OriginView",
@@ -67,6 +76,11 @@ __all__ = [
     "ProjectUsageView",
     "ProjectView",
     "ProviderView",
+    "RemovalView",
+    "RemovedRoleView",
+    "RemovedView",
+    "RetentionPreviewView",
+    "RetentionView",
     "SessionView",
     "SliceView",
     "SlotView",

@@ -53,6 +53,15 @@ class AttemptView(View):
     message: str | None = None
 
 
+class RemovedView(View):
+    """Files of a job that a retention rule has removed. at: the last time."""
+
+    rule: str = Field(examples=["videos_days"])
+    at: datetime
+    files: int
+    bytes: int
+
+
 class OriginView(View):
     """The service that a job was exported from. job: its id there; version: of Gaitway there."""
 
@@ -109,6 +118,9 @@ class JobView(View):
         None,
         description="Where an imported job was run. Ids in its `spec` are of that service; `attempts` and "
         "times are those of the run there.",
+    )
+    removed: tuple[RemovedView, ...] = Field(
+        (), description="Its files that retention rules of the project have removed."
     )
     correlation_id: str | None = Field(
         None,

@@ -27,8 +27,9 @@ OPEN |= {"GET /healthz", "GET /readyz", "GET /session", "POST /session", "DELETE
 OPEN |= {"POST /session/oidc", "GET /session/oidc"}
 FOR_ADMINS = {"GET /users", "POST /users", "PATCH /users/{name}", "GET /audit"}
 FOR_ADMINS |= {"POST /projects", "PATCH /projects/{name}"}
+FOR_ADMINS |= {"PUT /projects/{project}/retention", "DELETE /projects/{project}/retention"}
 FOR_WORKERS = "GET /workers/settings"
-FOR_VIEWERS = {"POST /tokens", "DELETE /tokens/{token_id}"}
+FOR_VIEWERS = {"POST /tokens", "DELETE /tokens/{token_id}", "POST /projects/{project}/retention/preview"}
 ALL = sorted(name for router in ROUTERS for route in router.routes for name in names(route))
 VALUES = {
     "{job_id}": "019aa3c2f0b1-5be0c1d2e3",

@@ -61,7 +61,7 @@ class JobQueries(Session):
         is_more = bool(job.attempts or job.artifacts or source)
         try:
             with self._transaction() if is_more else self._statements() as connection:
-                if source is not None and not rows.hold_job(connection, source.job):
+                if source is not None and not rows.hold_source(connection, source):
                     raise JobNotFound(source.job)
                 if add_job(connection, job, idempotency):
                     return job
@@ -144,16 +144,12 @@ class JobQueries(Session):
             save_job(connection, job, leases.is_over())
 
     def delete(self, job_id: str, version: int) -> None:
-        gone = delete(jobs).where(jobs.c.id == job_id, jobs.c.version == version).returning(jobs.c.id)
         with self._transaction() as connection:
-            # With `hold_job`: whoever comes second waits here, and then sees what the first one did.
+            # With `hold_source`: whoever comes second waits here, and then sees what the first one did.
             connection.execute(select(jobs.c.id).where(jobs.c.id == job_id).with_for_update())
-            if borrowers := [row.id for row in connection.execute(_borrowers_of(job_id))]:
-                raise JobInUse(job_id, borrowers)
-            if connection.execute(gone).first() is None:
-                _refuse(connection, job_id)
-            leases.forget_dispatch(connection, job_id)
-            connection.execute(insert(deletions).values(job_id=job_id, begun_at=NOW))
+            if needed_by := [row.id for row in connection.execute(borrowers_of(job_id))]:
+                raise JobInUse(job_id, needed_by)
+            delete_job(connection, job_id, version)
 
     def deletions(self, *, before: timedelta = timedelta(0)) -> Sequence[str]:
         old = select(deletions.c.job_id).where(deletions.c.begun_at <= NOW - before)
@@ -192,7 +188,7 @@ class JobQueries(Session):
 
     def jobs_needing_checkpoint_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
         with self._statements() as connection:
-            return [(row.id, row.source_step) for row in connection.execute(_borrowers_of(job_id))]
+            return [(row.id, row.source_step) for row in connection.execute(borrowers_of(job_id))]
 
     def objects_named(self, job_ids: Collection[str]) -> Collection[str]:
         named = [select(table.c.key).where(table.c.job_id.in_(job_ids)) for table in (artifacts, chunks)]
@@ -341,7 +337,17 @@ def _write_artifacts(connection: Connection, job: Job) -> None:
             connection.execute(write, new[at : at + _AT_ONCE])
 
 
-def _borrowers_of(job_id: str) -> Any:
+def delete_job(connection: Connection, job_id: str, version: int) -> None:
+    """Delete the job, whose row the caller has locked. Raises JobNotFound, StaleJob."""
+    gone = delete(jobs).where(jobs.c.id == job_id, jobs.c.version == version).returning(jobs.c.id)
+    if connection.execute(gone).first() is None:
+        _refuse(connection, job_id)
+    leases.forget_dispatch(connection, job_id)
+    connection.execute(insert(deletions).values(job_id=job_id, begun_at=NOW))
+
+
+def borrowers_of(job_id: str) -> Any:
+    """The unfinished jobs that need a checkpoint of this one: `id`, `source_step`."""
     wanted = select(jobs.c.id, jobs.c.source_step)
     return wanted.where(jobs.c.status.in_(UNFINISHED), jobs.c.source == job_id).order_by(jobs.c.id)
 

@@ -8,7 +8,20 @@ from typing import Any, cast
 
 from pydantic import ValidationError
 from pydantic_core import from_json
-from sqlalchemy import ARRAY, Connection, Double, Row, Text, any_, bindparam, case, func, literal, select
+from sqlalchemy import (
+    ARRAY,
+    Connection,
+    Double,
+    Row,
+    Text,
+    any_,
+    bindparam,
+    case,
+    exists,
+    func,
+    literal,
+    select,
+)
 from sqlalchemy import cast as cast_to
 
 from core.adapters.postgres.tables import NOW, artifacts, attempts, jobs
@@ -18,7 +31,7 @@ from core.errors import JobNotFound, JobUnreadable
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
 from core.jobs.patch import JobPatch
 from core.jobs.queue import queue_of
-from core.jobs.spec import JOB_SPEC
+from core.jobs.spec import JOB_SPEC, Source
 from core.jobs.status import JobStatus
 
 Values = dict[str, Any]
@@ -178,6 +191,24 @@ def hold_job(connection: Connection, job_id: str) -> bool:
     return connection.execute(row).first() is not None
 
 
+def hold_source(connection: Connection, source: Source) -> bool:
+    """`hold_job` of the source; False also where a retention rule has removed the checkpoint of its step."""
+    if not hold_job(connection, source.job):
+        return False
+    if source.step is None:
+        return True
+    has_lost = select(jobs.c.id).where(
+        jobs.c.id == source.job,
+        jobs.c.removed.is_not(None),
+        ~exists().where(
+            artifacts.c.job_id == source.job,
+            artifacts.c.role == "checkpoint",
+            artifacts.c.step == source.step,
+        ),
+    )
+    return connection.execute(has_lost).first() is None
+
+
 def readable(job: Job | UnreadableJob) -> Job:
     """Raises JobUnreadable."""
     if isinstance(job, UnreadableJob):
@@ -195,6 +226,7 @@ def _job(row: Row[Any], tries: Sequence[Row[Any]], files: Sequence[Row[Any]]) ->
             "artifacts": [_artifact_of(artifact) for artifact in files],
             "progress": _progress(row.progress),
             "imported_from": None if row.imported_from is None else from_json(row.imported_from),
+            "removed": () if row.removed is None else from_json(row.removed),
         }
         return Job.model_validate({**own, **found})
     except ValueError as error:  # JSON's and pydantic's errors are of this kind.

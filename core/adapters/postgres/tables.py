@@ -23,6 +23,7 @@ model_projects   the projects in which a model was sent, each with who sent it t
 tokens      API tokens, by a public id and the hash of the whole
 sessions    who is signed in on the page, as tokens
 audit       what was done; a trigger forbids to change or remove a row
+retention   what projects keep of their ended jobs (`core.jobs.retention`)
 webhooks    whom a project's news is sent to, with the secret of each
 news        messages about jobs, until there is a delivery of each for every webhook that wants it
 deliveries  messages for one webhook each, and what came of them, for a week
@@ -87,6 +88,8 @@ jobs = Table(
     _moment("not_before"),
     Column("progress", Text),
     Column("imported_from", Text),
+    # What retention rules have removed of its files.
+    Column("removed", Text),
     Column("correlation_id", Text),
     Column("token", Text, nullable=False, server_default=""),
     _moment("lease_until"),
@@ -414,6 +417,15 @@ audit = Table(
 )
 Index("audit_by_user", audit.c.user_name, audit.c.id)
 Index("audit_by_object", audit.c.object, audit.c.id)
+
+retention = Table(
+    "retention",
+    metadata,
+    Column[Any]("project", ForeignKey(projects.c.name), primary_key=True),
+    Column("rules", Text, nullable=False),
+    _moment("set_at", nullable=False),
+    Column("set_by", Text),
+)
 
 webhooks = Table(
     "webhooks",

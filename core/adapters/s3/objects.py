@@ -104,7 +104,6 @@ class S3ObjectStore:
         self.delete([item.key for item in self.list(prefix)])
 
     def delete(self, keys: Iterable[str]) -> None:
-        """Remove these objects; a missing one is no error."""
         with self._timed(), self._reaching():
             named = [DeleteObject(key) for key in keys]
             failures = list(self._client.remove_objects(self._bucket, named))

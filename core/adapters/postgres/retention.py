@@ -1,0 +1,273 @@
+"""What projects keep of their ended jobs, and the removal of the rest."""
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from pydantic_core import from_json
+from sqlalchemy import (
+    Connection,
+    Row,
+    Text,
+    any_,
+    bindparam,
+    delete,
+    func,
+    literal,
+    select,
+    union_all,
+    update,
+)
+from sqlalchemy.dialects.postgresql import ARRAY, insert
+
+from core.accounts.store import Actor
+from core.adapters.postgres import feeds
+from core.adapters.postgres.accounts import note_audit, require_project
+from core.adapters.postgres.engine import Session
+from core.adapters.postgres.jobs import borrowers_of, delete_job
+from core.adapters.postgres.rows import IDS
+from core.adapters.postgres.tables import (
+    NOW,
+    UNFINISHED,
+    artifacts,
+    chunks,
+    jobs,
+    retention,
+    sweeps,
+    trials,
+)
+from core.documents import read_leniently
+from core.jobs.job import JOB_ID, Origin, Removed
+from core.jobs.retention import (
+    PIN,
+    RULES,
+    EndedJob,
+    Need,
+    Removal,
+    RetainedFile,
+    Retention,
+    RetentionRules,
+    said_of,
+)
+from core.jobs.status import JobStatus
+from core.jobs.store import note_entry
+
+_FINAL = tuple(status.value for status in JobStatus if status.is_final)
+_ACTIVE_SWEEPS = select(sweeps.c.id, sweeps.c.spec).where(sweeps.c.status.in_(("running", "cancelling")))
+_GOING_TRIALS = (
+    select(trials.c.job_id, trials.c.sweep_id)
+    .join(sweeps, sweeps.c.id == trials.c.sweep_id)
+    .where(sweeps.c.status.in_(("running", "cancelling")), trials.c.job_id == any_(IDS))
+)
+_ENDED = (
+    select(
+        jobs.c.id,
+        jobs.c.version,
+        jobs.c.name,
+        jobs.c.owner,
+        jobs.c.status,
+        func.coalesce(jobs.c.finished_at, jobs.c.created_at).label("ended_at"),
+        jobs.c.imported_from,
+        jobs.c.labels.has_key(PIN).label("is_pinned"),
+    )
+    .where(
+        jobs.c.project == bindparam("project"),
+        jobs.c.status.in_(_FINAL),
+        jobs.c.id > bindparam("after"),
+    )
+    .order_by(jobs.c.id)
+    .limit(bindparam("most"))
+)
+_FACTS = (artifacts.c.name, artifacts.c.role, artifacts.c.step, artifacts.c.size)
+# A row for each job: ten thousand of them with their files take half a second less.
+_FILES = (
+    select(artifacts.c.job_id, *(func.array_agg(column) for column in _FACTS))
+    .where(
+        artifacts.c.job_id == any_(IDS),
+        artifacts.c.role == any_(bindparam("roles", type_=ARRAY(Text))),
+    )
+    .group_by(artifacts.c.job_id)
+)
+_SUMS = union_all(
+    select(artifacts.c.job_id, artifacts.c.role, func.sum(artifacts.c.size), func.count())
+    .where(artifacts.c.job_id == any_(IDS))
+    .group_by(artifacts.c.job_id, artifacts.c.role),
+    select(chunks.c.job_id, literal("feed"), func.sum(chunks.c.size), func.count())
+    .where(chunks.c.job_id == any_(IDS))
+    .group_by(chunks.c.job_id),
+)
+_source = jobs.alias("source")
+_NEEDS = (
+    select(_source.c.id.label("source"), jobs.c.id, jobs.c.source_step, jobs.c.project)
+    .join(_source, _source.c.id == jobs.c.source)
+    .where(jobs.c.status.in_(UNFINISHED), _source.c.project == bindparam("project"))
+    .order_by(jobs.c.id)
+)
+
+
+class RetentionQueries(Session):
+    """A RetentionStore."""
+
+    def retention(self, project: str) -> Retention | None:
+        with self._statements() as connection:
+            require_project(connection, project)
+            row = connection.execute(select(retention).where(retention.c.project == project)).first()
+        return None if row is None else _retention(row)
+
+    def retentions(self) -> Sequence[Retention]:
+        with self._statements() as connection:
+            found = connection.execute(select(retention).order_by(retention.c.project)).all()
+        return [_retention(row) for row in found]
+
+    def set_retention(self, project: str, rules: RetentionRules, actor: Actor) -> Retention:
+        values = {"rules": rules.model_dump_json(), "set_at": NOW, "set_by": actor.user}
+        write = insert(retention).values(project=project, **values)
+        write = write.on_conflict_do_update(index_elements=["project"], set_=values)
+        with self._transaction() as connection:
+            require_project(connection, project)
+            row = connection.execute(write.returning(*retention.c)).one()
+            note_audit(connection, actor, "retention.set", f"project {project}", **rules.given())
+        return _retention(row)
+
+    def end_retention(self, project: str, actor: Actor) -> None:
+        gone = delete(retention).where(retention.c.project == project).returning(retention.c.project)
+        with self._transaction() as connection:
+            require_project(connection, project)
+            if connection.execute(gone).first() is not None:
+                note_audit(connection, actor, "retention.ended", f"project {project}")
+
+    def ended_jobs(self, project: str, *, after: str = "", limit: int = 1000) -> Sequence[EndedJob]:
+        with self._statements() as connection:
+            found = connection.execute(_ENDED, {"project": project, "after": after, "most": limit}).all()
+            sweep_of = _sweeps_that_go_on(connection, [row.id for row in found])
+        return [_ended(row, sweep_of.get(row.id)) for row in found]
+
+    def files_of_ended(
+        self, job_ids: Collection[str], roles: Collection[str]
+    ) -> Mapping[str, Sequence[RetainedFile]]:
+        if not job_ids or not roles:
+            return {}
+        with self._statements() as connection:
+            found = connection.execute(_FILES, {"ids": [*job_ids], "roles": [*roles]}).all()
+        return {job_id: [*map(RetainedFile, *facts)] for job_id, *facts in found}
+
+    def sums_of_ended(self, job_ids: Collection[str]) -> Mapping[str, Sequence[RetainedFile]]:
+        by_job = defaultdict[str, list[RetainedFile]](list)
+        with self._statements() as connection:
+            for job_id, role, size, number in connection.execute(_SUMS, {"ids": [*job_ids]}):
+                by_job[job_id].append(RetainedFile(role, role, None, int(size), number))
+        return by_job
+
+    def checkpoint_needs(self, project: str) -> Mapping[str, Sequence[Need]]:
+        by_job = defaultdict[str, list[Need]](list)
+        with self._statements() as connection:
+            for row in connection.execute(_NEEDS, {"project": project}):
+                by_job[row.source].append(Need(row.id, row.source_step, row.project))
+        return by_job
+
+    def remove_retained(self, removal: Removal, by: Retention) -> Sequence[str] | None:
+        gone: Sequence[str] = ()
+        job = removal.job
+        in_force = select(retention.c.project).where(
+            retention.c.project == by.project, retention.c.set_at == by.set_at
+        )
+        held = select(jobs.c.version, jobs.c.removed).where(jobs.c.id == job.id).with_for_update()
+        with self._transaction() as connection:
+            # Whoever changes the rules waits for this, and then they remove nothing more.
+            if connection.execute(in_force.with_for_update(read=True)).first() is None:
+                return None
+            # With `hold_source`: a job that needs a checkpoint comes before this, or finds it gone.
+            row = connection.execute(held).first()
+            if row is None or row.version != job.version:
+                return None
+            needs = connection.execute(borrowers_of(job.id)).all()
+            if removal.is_whole:
+                if needs:
+                    return None
+                delete_job(connection, job.id, job.version)
+            else:
+                steps = {need.source_step for need in needs}
+                removal = removal.without(lambda file: file.role == "checkpoint" and file.step in steps)
+                if not removal.files:
+                    return None
+                gone = _remove_files(connection, removal, by.rules, row.removed)
+            note_audit(
+                connection,
+                Actor(),
+                "retention.applied",
+                f"project {by.project}",
+                job=job.id,
+                whole=removal.is_whole,
+                rules={rule: getattr(by.rules, rule) for rule in removal.files},
+                files=removal.num_files,
+                bytes=removal.num_bytes,
+            )
+        return gone
+
+
+def _remove_files(
+    connection: Connection, removal: Removal, rules: RetentionRules, before: str | None
+) -> Sequence[str]:
+    """Take the files out of the record of a job, which is locked, and say so there; returns their keys."""
+    job_id = removal.job.id
+    names = [file.name for file in removal.all_files]
+    its = (artifacts.c.job_id == job_id) & (artifacts.c.name == any_(literal(names, ARRAY(Text))))
+    gone = connection.execute(delete(artifacts).where(its).returning(artifacts.c.key)).scalars().all()
+    now = connection.execute(select(NOW)).scalar_one()
+    told = _added(before, removal, now)
+    changed = update(jobs).where(jobs.c.id == job_id).values(version=jobs.c.version + 1, removed=told)
+    connection.execute(changed)
+    feeds.append(connection, job_id, "events", [note_entry(said_of(removal, rules))])
+    return gone
+
+
+def _added(before: str | None, removal: Removal, now: datetime) -> str:
+    """What rules have removed of the job, with this removal."""
+    known = {one.rule: one for one in map(Removed.model_validate, from_json(before or "[]"))}
+    for rule, files in removal.files.items():
+        had = known.get(rule, Removed(rule=rule, at=now, files=0, size=0))
+        known[rule] = Removed(
+            rule=rule,
+            at=now,
+            files=had.files + len(files),
+            size=had.size + sum(file.size for file in files),
+        )
+    return json.dumps([one.model_dump(mode="json") for one in known.values()])
+
+
+def _sweeps_that_go_on(connection: Connection, job_ids: Sequence[str]) -> dict[str, str]:
+    """Of these jobs those that an active sweep has as a trial, or that its specification names."""
+    trials_of = connection.execute(_GOING_TRIALS, {"ids": [*job_ids]}).all()
+    found = {row.job_id: row.sweep_id for row in trials_of}
+    wanted = set(job_ids)
+    for sweep in connection.execute(_ACTIVE_SWEEPS):
+        found |= dict.fromkeys(wanted.intersection(re.findall(JOB_ID, sweep.spec)), sweep.id)
+    return found
+
+
+def _ended(row: Row[Any], sweep: str | None) -> EndedJob:
+    since = row.ended_at
+    if row.imported_from is not None:
+        since = max(since, Origin.model_validate_json(row.imported_from).imported_at)
+    return EndedJob(
+        row.id,
+        row.version,
+        row.name,
+        row.owner,
+        JobStatus(row.status),
+        since,
+        is_pinned=row.is_pinned,
+        sweep=sweep,
+    )
+
+
+def _retention(row: Row[Any]) -> Retention:
+    return Retention(
+        project=row.project,
+        rules=read_leniently(row.rules, RULES),
+        set_at=row.set_at,
+        set_by=row.set_by,
+    )
