@@ -48,25 +48,27 @@ class RetentionRules(Strict):
     """
 
     checkpoints: int | None = Field(
-        None,
+        default=None,
         ge=1,
         le=1000,
         description="Of each job the newest so many checkpoints stay.",
         examples=[2],
     )
     videos_days: Days | None = Field(
-        None, description="Videos and their posters go after so many days.", examples=[30]
+        default=None, description="Videos and their posters go after so many days.", examples=[30]
     )
     replays_days: Days | None = Field(
-        None,
+        default=None,
         description="Replays, their scenes, and rollouts' trajectories go after so many days.",
         examples=[90],
     )
     failed_days: Days | None = Field(
-        None, description="Failed jobs go after so many days, with all that they have.", examples=[60]
+        default=None, description="Failed jobs go after so many days, with all that they have.", examples=[60]
     )
     cancelled_days: Days | None = Field(
-        None, description="Cancelled jobs go after so many days, with all that they have.", examples=[None]
+        default=None,
+        description="Cancelled jobs go after so many days, with all that they have.",
+        examples=[None],
     )
 
     def given(self) -> dict[str, int]:
@@ -198,15 +200,15 @@ def judge(
     whole = _whole(rules, job, now)
     if whole is not None and not needs and job.sweep is None:
         return Verdict(job, Removal(job, {whole: files}, is_whole=True))
-    removed = _of_files(rules, job, files, now)
+    removed: Mapping[Rule, Sequence[RetainedFile]] = _of_files(rules, job, files, now)
     if job.sweep is not None:
         return Verdict(job, sweep=job.sweep if removed or whole is not None else None)
     kept_for = [*needs] if whole is not None else []
     if old := removed.get("checkpoints"):
         steps, needed = {file.step for file in old}, {need.step for need in needs}
         kept_for += [need for need in needs if need.step in steps and need not in kept_for]
-        removed["checkpoints"] = [file for file in old if file.step not in needed]
-        removed = {rule: files for rule, files in removed.items() if files}
+        found = Removal(job, removed).without(lambda file: file.role == "checkpoint" and file.step in needed)
+        removed = found.files
     return Verdict(job, Removal(job, removed) if removed else None, kept_for)
 
 
@@ -314,6 +316,6 @@ class RetentionStore(Protocol):
 
         One transaction, with a note in the job's events, `Job.removed`, and an entry of the audit log. It
         leaves out what an unfinished job needs by now. None, and nothing is removed, where the job or the
-        rules have changed since they were read, or all of it is needed.
+        rules have changed since they were read, the job is pinned by now, or all of it is needed.
         """
         ...

@@ -13,11 +13,14 @@ import psutil
 import pytest
 
 from core.accounts.principal import NOBODYS
+from core.accounts.store import Actor
 from core.adapters.postgres import schema
 from core.adapters.postgres.engine import DEADLINE_S, connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
+from core.jobs.retention import EndedJob, Removal, Retention, RetentionRules, RetentionStore
+from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
 from core.jobs.tallies import Tally
 from core.jobs.usage import UsageStore
@@ -39,6 +42,9 @@ from tests.contract.recording import (
 Call = Callable[[JobStore], object]
 # The deadline of a call, and something for a busy machine: less than two of them.
 PROMPT_S = 3.8
+RULES = RetentionRules(checkpoints=1)
+BY = Retention(project="default", rules=RULES, set_at=NOW)
+REMOVAL = Removal(EndedJob("a", 1, None, None, JobStatus.FAILED, NOW), {})
 CHUNK = Chunk("logs", 1, 1, "chunk", size=1, sha256="0" * 64)
 
 
@@ -84,6 +90,15 @@ def calls(job: Job) -> Mapping[str, Call]:
         "marks": lambda jobs: jobs.marks([job.id]),
         "users_of": lambda jobs: jobs.users_of(MODEL),
         "jobs_needing_checkpoint_of": lambda jobs: jobs.jobs_needing_checkpoint_of(job.id),
+        "retention": lambda jobs: jobs.retention("default"),
+        "retentions": lambda jobs: jobs.retentions(),
+        "set_retention": lambda jobs: jobs.set_retention("default", RULES, Actor()),
+        "end_retention": lambda jobs: jobs.end_retention("default", Actor()),
+        "ended_jobs": lambda jobs: jobs.ended_jobs("default"),
+        "files_of_ended": lambda jobs: jobs.files_of_ended([job.id], ["video"]),
+        "sums_of_ended": lambda jobs: jobs.sums_of_ended([job.id]),
+        "checkpoint_needs": lambda jobs: jobs.checkpoint_needs("default"),
+        "remove_retained": lambda jobs: jobs.remove_retained(REMOVAL, BY),
         "objects_named": lambda jobs: jobs.objects_named([job.id]),
         "announce": lambda jobs: jobs.announce(worker("a"), LEASE),
         "withdraw": lambda jobs: jobs.withdraw("a"),
@@ -162,7 +177,7 @@ def eventually(call: Callable[[], object]) -> object:
 
 
 def test_every_method_of_the_record_is_called_here() -> None:
-    kinds = (JobStore, ModelStore, UsageStore, WorkerStore)
+    kinds = (JobStore, ModelStore, RetentionStore, UsageStore, WorkerStore)
     methods = {name for kind in kinds for name in vars(kind) if not name.startswith("_")}
     assert methods == set(calls(queued_job().claimed("w", queued_job().created_at)))
 

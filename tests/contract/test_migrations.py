@@ -24,6 +24,7 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.postgres.tables import metadata
 from core.errors import Misconfigured, RecordsUnavailable
 from core.jobs.job import Job
+from core.jobs.retention import RetentionRules
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, Idempotency
 from core.jobs.tallies import Tally
@@ -130,6 +131,7 @@ def fill(engine: Engine) -> Job:
     sweep = jobs.add_sweep(sweep_of(), Idempotency("k", "body"))
     jobs.add_trial(sweep.id, trial_of(0, job=None), None)
     jobs.set_quota("user", "ann", Quota(running=1), Actor())
+    jobs.set_retention("default", RetentionRules(checkpoints=1), Actor())
     jobs.add_tallies([Tally("series", ("label",), (1, 2), 3.0)])
     _tell_a_webhook(jobs)
     jobs.save(held(jobs, queued_job(3)).ended(JobStatus.FAILED, Reason.DIVERGED, "", NOW))

@@ -201,6 +201,12 @@ class TestEveryStore:
         assert [found.key for found in objects.list("")] == ["jobs/10/a", "jobs/2"]
         objects.delete_prefix("jobs/1/")
 
+    def test_deleting_by_key_takes_these_alone(self, objects: ObjectStore) -> None:
+        for key in ("a", "ab", "b"):
+            objects.put(key, b"x")
+        objects.delete(["a", "missing"])
+        assert [found.key for found in objects.list("")] == ["ab", "b"]
+
 
 class TestS3:
     def test_a_long_listing_has_everything(self, object_store: S3ObjectStore) -> None:

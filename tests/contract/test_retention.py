@@ -12,6 +12,7 @@ from core.errors import JobNotFound, ProjectNotFound, Rejected, RetentionNeeded,
 from core.jobs import orphans, removal
 from core.jobs.ending import end_deletions
 from core.jobs.job import Artifact, Job, Origin
+from core.jobs.patch import JobPatch
 from core.jobs.removal import Preview, check_needed, preview
 from core.jobs.retention import PIN, Need, Removal, Retention, RetentionRules
 from core.jobs.source import source_artifact
@@ -290,6 +291,14 @@ def test_a_job_that_needs_the_file_by_now_keeps_it(
     job_store.add(queued_job(1, resume_from={"job": job.id, "step": 10}))
     assert job_store.remove_retained(planned, rules) is None
     assert names_of(job_store, job) == ["checkpoint-10", "checkpoint-20"]
+
+
+def test_a_job_that_is_pinned_by_now_keeps_all(
+    job_store: PostgresJobStore, judged: tuple[Job, Removal, Retention]
+) -> None:
+    job, planned, rules = judged
+    job_store.patch(job.id, JobPatch(labels={PIN: "yes"}))
+    assert job_store.remove_retained(planned, rules) is None
 
 
 def test_a_job_that_comes_too_late_is_refused_with_the_reason(

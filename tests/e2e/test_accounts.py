@@ -170,3 +170,20 @@ def test_a_webhook_by_the_command(lab: Lab) -> None:
         of_job = succeeded(gaitway(lab, "webhooks", "deliveries", "--job", job_id, "--json", token=token))
         assert [one["event"] for one in json.loads(of_job)] == ["job.cancelled"]
         succeeded(gaitway(lab, "webhooks", "delete", "hook", *in_a, "--yes", token=token))
+
+
+def test_retention_by_the_command(lab: Lab) -> None:
+    token, in_a = lab.token("root").text, ("--project", "a")
+    shown = succeeded(gaitway(lab, "retention", "show", *in_a, token=token))
+    assert shown == "a has no rules and keeps everything.\n"
+    without = gaitway(lab, "retention", "preview", *in_a, token=token)
+    assert (without.exit_code, "give some, such as --checkpoints 2" in without.stderr) == (2, True)
+    seen = succeeded(gaitway(lab, "retention", "preview", *in_a, "--checkpoints", "2", token=token))
+    assert seen == "0 jobs would lose 0 files, 0 bytes.\n"
+    rules = ("--checkpoints", "2", "--videos-days", "30", "--yes")
+    made = succeeded(gaitway(lab, "retention", "set", *in_a, *rules, token=token))
+    assert "In a, of each job the newest 2 checkpoints stay; videos go after 30 days. Set by root" in made
+    own = succeeded(gaitway(lab, "retention", "preview", *in_a, "--json", token=token))
+    assert json.loads(own)["jobs"] == 0
+    removed = succeeded(gaitway(lab, "retention", "remove", *in_a, token=token))
+    assert removed == "a keeps everything from now on.\n"

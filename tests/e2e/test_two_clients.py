@@ -95,6 +95,7 @@ def test_every_method_does_the_same(stack: Stack, client: Either, tmp_path: Path
     _sweeps(stack, client)
     _accounts(client)
     _webhooks(client)
+    _retention(client)
     assert client.health() == {"status": "ok"}
     assert client.called == METHODS - {"close"}  # the fixture calls it
 
@@ -261,6 +262,16 @@ def _accounts(client: Either) -> None:
     assert [project.name for project in client.projects()] == ["default"]
     assert all(slots.queued >= 0 for slots in client.slots().items)
     assert client.usage().until >= client.usage().since
+
+
+def _retention(client: Either) -> None:
+    assert client.preview_retention(videos_days=3000).jobs == 0
+    assert client.set_retention(videos_days=3000).videos_days == 3000
+    assert client.retention().set_at is not None
+    with pytest.raises(Rejected, match="checkpoints"):
+        client.set_retention(checkpoints=0)
+    client.remove_retention()
+    assert client.retention().set_at is None
 
 
 def _webhooks(client: Either) -> None:

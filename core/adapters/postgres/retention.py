@@ -174,14 +174,15 @@ class RetentionQueries(Session):
         in_force = select(retention.c.project).where(
             retention.c.project == by.project, retention.c.set_at == by.set_at
         )
-        held = select(jobs.c.version, jobs.c.removed).where(jobs.c.id == job.id).with_for_update()
+        is_pinned = jobs.c.labels.has_key(PIN).label("is_pinned")
+        held = select(jobs.c.version, jobs.c.removed, is_pinned).where(jobs.c.id == job.id).with_for_update()
         with self._transaction() as connection:
             # Whoever changes the rules waits for this, and then they remove nothing more.
             if connection.execute(in_force.with_for_update(read=True)).first() is None:
                 return None
             # With `hold_source`: a job that needs a checkpoint comes before this, or finds it gone.
             row = connection.execute(held).first()
-            if row is None or row.version != job.version:
+            if row is None or row.version != job.version or row.is_pinned:
                 return None
             needs = connection.execute(borrowers_of(job.id)).all()
             if removal.is_whole:

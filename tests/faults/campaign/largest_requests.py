@@ -421,6 +421,20 @@ def _of_accounts(method: str, path: str, **document: Any) -> Forms:
     return made
 
 
+_RETENTION = "/projects/default/retention"
+
+
+def _rules(method: str, part: str) -> Forms:
+    def made(service: Service, route: str) -> Iterator[Form]:
+        # Rules that never remove anything here: other requests read the files.
+        rules = {"checkpoints": 1000, "videos_days": 3650, "failed_days": 3650}
+        body = None if method == "DELETE" else _json(rules)
+        headers = {"Content-Type": _JSON} if body else {}
+        yield Form(route, "", method, f"{_RETENTION}{part}", (200, 204), body, headers)
+
+    return made
+
+
 _HOOKS = "/projects/default/webhooks"
 
 
@@ -456,6 +470,10 @@ _FORMS: dict[str, Forms] = {
     "GET /projects": _get("/projects"),
     "POST /projects": _of_accounts("POST", "/projects", name="p" * 63),
     "PATCH /projects/{name}": _of_accounts("PATCH", "/projects/p", add=_MEMBERS, remove=_MEMBERS),
+    "GET /projects/{project}/retention": _get(_RETENTION),
+    "PUT /projects/{project}/retention": _rules("PUT", ""),
+    "DELETE /projects/{project}/retention": _rules("DELETE", ""),
+    "POST /projects/{project}/retention/preview": _rules("POST", "/preview?limit=200"),
     "GET /projects/{project}/webhooks": _get(_HOOKS),
     # Another of the same name is refused once it has been read.
     "POST /projects/{project}/webhooks": _webhook,

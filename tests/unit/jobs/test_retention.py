@@ -59,9 +59,7 @@ def test_each_rule_removes_its_own_files(rules: dict[str, int], gone: set[str]) 
 
 
 def test_checkpoints_of_one_step_count_as_one() -> None:
-    files = [
-        RetainedFile(f"{step}-{part}", "checkpoint", step, 1, "k") for step in (1, 2, 3) for part in "ab"
-    ]
+    files = [RetainedFile(f"{step}-{part}", "checkpoint", step, 1) for step in (1, 2, 3) for part in "ab"]
     verdict = judge(RetentionRules(checkpoints=2), ended(), files, (), NOON)
     assert verdict.removal is not None
     assert [file.name for file in verdict.removal.all_files] == ["1-a", "1-b"]
