@@ -3,6 +3,7 @@
 import os
 import re
 import sys
+from collections.abc import Iterable
 
 # How the GPUs of a worker may be named; `gpu` is the first.
 GPUS = r"gpu(:\d{1,3}(-\d{1,3})?(,\d{1,3}(-\d{1,3})?)*)?"
@@ -21,3 +22,8 @@ def gpu_indices(device: str) -> list[int]:
         return []
     ranges = re.findall(r"(\d+)(?:-(\d+))?", device) or [("0", "")]
     return sorted(index for first, last in ranges for index in range(int(first), int(last or first) + 1))
+
+
+def device_name(gpus: Iterable[int]) -> str:
+    """`gpu:0,1` for the GPUs 1 and 0."""
+    return "gpu:" + ",".join(map(str, sorted(gpus)))

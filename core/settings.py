@@ -388,6 +388,12 @@ class WorkerSettings(StoreSettings):
         description="What the worker runs on: cpu, gpu:INDEX, or auto for the first GPU if there is one and "
         "JAX can use it. With several GPUs (gpu:0,1 or gpu:0-3) it takes the jobs that ask for this many.",
     )
+    pool: str | None = Field(
+        None,
+        pattern=rf"^{GPUS}$",
+        description="The GPUs of this machine that jobs of 1, 2, 4 and more GPUs share out, e.g. gpu:0-7. "
+        "`worker.fleet` passes it on to its workers; by default all GPUs.",
+    )
     hosts: int = Field(
         1,
         ge=1,

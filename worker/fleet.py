@@ -1,4 +1,5 @@
-"""One worker for each GPU of this machine: `python -m worker.fleet`; or for each of the named devices:
+"""One worker for each GPU of this machine, which share out all of them among jobs of 1, 2, 4, … GPUs:
+`python -m worker.fleet`. Or a worker for each of the named devices, each for jobs of as many GPUs as it has:
 `python -m worker.fleet cpu cpu`, `python -m worker.fleet gpu:0,1 gpu:2,3`.
 """
 
@@ -16,7 +17,7 @@ from pathlib import Path
 import structlog
 
 from core.configuration import stopping_if_misconfigured
-from core.devices import gpu_indices
+from core.devices import device_name, gpu_indices
 from core.errors import EXIT_STATUS, Misconfigured
 from core.telemetry import configure_logging
 from core.variables import variable
@@ -26,6 +27,7 @@ from worker.host.health import begin_fleet
 
 log = structlog.get_logger()
 
+COMMAND = [sys.executable, "-m", "worker.main"]
 _POLL_S = 0.1
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 30.0
 
@@ -34,11 +36,13 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 30.0
 class Member:
     """A worker on a device or several GPUs. The pause grows each time it ends soon after its start.
 
-    alive_file: the file it touches, for a health check. has_lived: whether it ever ran for long.
+    alive_file: the file it touches, for a health check. pool: the GPUs that it shares out with the others.
+    has_lived: whether it ever ran for long.
     """
 
     device: str
     alive_file: Path | None = None
+    pool: str | None = None
     has_lived: bool = False
     child: subprocess.Popen[bytes] | None = None
     started_at: float = 0.0
@@ -69,19 +73,19 @@ class Member:
     def _start(self, now: float) -> None:
         self.started_at = now
         # In a session of its own: Ctrl-C in a terminal is ours to pass on, once.
-        command, variables = [sys.executable, "-m", "worker.main"], {**os.environ, **self._settings()}
-        self.child = launch(command, variables, stdout=None, stderr=None)
+        self.child = launch(COMMAND, self._variables(), stdout=None, stderr=None)
 
-    def _settings(self) -> dict[str, str]:
-        alive = {} if self.alive_file is None else {variable("alive_file"): str(self.alive_file)}
-        return {variable("device"): self.device, **alive}
+    def _variables(self) -> dict[str, str]:
+        own = {"device": self.device, "alive_file": self.alive_file, "pool": self.pool}
+        outer = {name: value for name, value in os.environ.items() if name not in map(variable, own)}
+        return outer | {variable(name): str(value) for name, value in own.items() if value is not None}
 
 
-def members_on(devices: Sequence[str]) -> list[Member]:
+def members_on(devices: Sequence[str], pool: str | None = None) -> list[Member]:
     """One for each device, with a sign of life of its own where GAITWAY_ALIVE_FILE is set."""
     file = os.environ.get(variable("alive_file"))
     signs = begin_fleet(Path(file), len(devices)) if file else [None] * len(devices)
-    return [Member(device, sign) for device, sign in zip(devices, signs, strict=True)]
+    return [Member(device, sign, pool) for device, sign in zip(devices, signs, strict=True)]
 
 
 def serve(members: Sequence[Member]) -> None:
@@ -109,7 +113,8 @@ def serve(members: Sequence[Member]) -> None:
 def main(devices: Sequence[str]) -> None:
     """Serve until a SIGTERM."""
     configure_logging("fleet")
-    devices = devices or [f"gpu:{index}" for index in range(len(visible_gpus()))]
+    pool = None if devices else _pool()
+    devices = devices or [device_name([gpu]) for gpu in gpu_indices(pool or "cpu")]
     if len(devices) > 1 and os.environ.get(variable("hosts"), "1") != "1":
         raise Misconfigured(
             f"{variable('hosts')} is for one worker with all GPUs of its host, and a fleet has one for each "
@@ -126,7 +131,14 @@ def main(devices: Sequence[str]) -> None:
             "waiting. Name each GPU once."
         )
     log.info("fleet_started", devices=devices)
-    serve(members_on(devices))
+    serve(members_on(devices, pool if len(devices) > 1 else None))
+
+
+def _pool() -> str | None:
+    """All GPUs that GAITWAY_POOL names; by default those of the machine. None if there is none."""
+    named = os.environ.get(variable("pool"))
+    gpus = gpu_indices(named) if named else range(len(visible_gpus()))
+    return device_name(gpus) if gpus else None
 
 
 if __name__ == "__main__":

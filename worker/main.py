@@ -32,6 +32,7 @@ from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.installation import to_install
 from core.jobs.job import utc_now
 from core.jobs.queue import MODELS, PREVIEWS, queue_names
+from core.jobs.slots import kind_of_queue
 from core.jobs.store import JobStore
 from core.jobs.tallies import Report, Tallies
 from core.jobs.workers import WorkerInfo, WorkerState, packages_here
@@ -47,6 +48,7 @@ from worker.host.device_health import DeviceHealth
 from worker.host.disk import check_folder
 from worker.host.health import show_life
 from worker.host.locks import remove_free_locks, slot_names
+from worker.host.pool import Membership, pool_of
 from worker.host.processes import PARENT, die_with_parent
 from worker.preparation.programs import IdlePreparation
 from worker.stopping import Draining
@@ -85,6 +87,8 @@ class GaitwayWorker(rq.Worker):
     ) -> None:
         self._store = store
         self._gang = gang
+        pool = pool_of(settings, device)
+        self._membership = None if pool is None else Membership(pool)
         self._tallies = tallies or Tallies()
         self._report = Report(self._tallies, store.add_tallies)
         self._objects = object_store(settings)
@@ -93,14 +97,17 @@ class GaitwayWorker(rq.Worker):
         self._data_dir = settings.data_dir
         self._horse_is_stopped = False
         self._is_announcing = False
-        self._preparation = IdlePreparation(device, () if gang else settings.prepared)
+        # Of a pool's workers one is enough: it uses a GPU that a job of several may wait for.
+        prepares = gang is None and (pool is None or pool.own == min(pool.locks))
+        self._preparation = IdlePreparation(device, settings.prepared if prepares else ())
         self._idle_since = inf
+        self._had_turns = tuple[str, ...]()
         self._time_left = TimeLeft(settings.ends_at, settings.grace, settings.start_margin)
         self._idle_exit_s = settings.idle_exit.total_seconds() if settings.idle_exit else inf
         self._had_job_at = time.monotonic()
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
         hosts = 1 if gang is None else gang.place.hosts
-        queues = queue_names(device, hosts)
+        queues = queue_names(device, hosts, 1 if pool is None else len(pool.locks))
         now = utc_now()
         self._info = WorkerInfo(
             name=name,
@@ -108,6 +115,7 @@ class GaitwayWorker(rq.Worker):
             pid=os.getpid(),
             device=device,
             hosts=hosts,
+            pool=None if pool is None else pool.device,
             queues=queues,
             memory_bytes=device_memory(device, settings.memory_limit),
             packages=packages_here(),
@@ -214,8 +222,8 @@ class GaitwayWorker(rq.Worker):
                 raise
             log.warning("queue_bookkeeping_waits", error=str(error))
         self.announce()
-        if self._idle_since < inf and self._gang is not None and not self._gang.look():
-            raise _HostMissing
+        if self._idle_since < inf and not self._is_complete():
+            raise _MustWait
         if time.monotonic() - self._idle_since >= _IDLE_S:
             self._preparation.go_on()
 
@@ -228,7 +236,7 @@ class GaitwayWorker(rq.Worker):
                 return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
             except _OUTAGES as error:  # RQ itself waits for nothing but a connection.
                 self._wait_for_queue(error)
-            except _HostMissing:
+            except _MustWait:
                 pass
             finally:
                 self._idle_since = inf
@@ -241,8 +249,16 @@ class GaitwayWorker(rq.Worker):
         both.
         """
         self._idle_since = inf
-        had_turns = {PREVIEWS: (PREVIEWS,), MODELS: (PREVIEWS, MODELS)}.get(reference_queue.name, ())
-        self._ordered_queues = sorted(self.queues, key=lambda queue: queue.name in had_turns)
+        self._had_turns = {PREVIEWS: (PREVIEWS,), MODELS: (PREVIEWS, MODELS)}.get(reference_queue.name, ())
+        self._order_queues()
+
+    def _order_queues(self) -> None:
+        """Those that it asks now, in their order: a pool's worker asks for no more GPUs than are free."""
+        queues = self.queues
+        if self._membership is not None:
+            most = len(self._membership.free)
+            queues = [queue for queue in queues if kind_of_queue(queue.name).gpus <= most]
+        self._ordered_queues = sorted(queues, key=lambda queue: queue.name in self._had_turns)
 
     def _end_in_time(self) -> None:
         """Shut down before the machine is taken away, or because nothing has been there to do for long."""
@@ -262,7 +278,7 @@ class GaitwayWorker(rq.Worker):
     def _wait_for_device(self) -> None:
         shown, shown_at = "", 0.0
         try:
-            while not (self._health.is_fit() and self._has_all_hosts()):
+            while not (self._health.is_fit() and self._is_complete()):
                 self._go_if_told()
                 if shown != self._shown_state or time.monotonic() - shown_at > _ANNOUNCE_EVERY_S:
                     shown, shown_at = self._shown_state, time.monotonic()
@@ -271,14 +287,35 @@ class GaitwayWorker(rq.Worker):
         finally:
             self._health.close()
 
-    def _has_all_hosts(self) -> bool:
-        return self._gang is None or self._gang.look()
+    def _is_complete(self) -> bool:
+        """Whether all hosts are there, and its GPU is no other worker's."""
+        if self._membership is None:
+            return self._gang is None or self._gang.look()
+        may_take = self._membership.look()
+        if self._membership.state == "lent":  # It is of use, and does not end for having no job.
+            self._had_job_at = time.monotonic()
+        self._order_queues()
+        return may_take
 
     @property
     def _shown_state(self) -> WorkerState:
         """Whether it takes a job, or has one."""
-        is_incomplete = self._gang is not None and self._gang.problem and not self.horse_pid
-        return "incomplete" if is_incomplete and self._health.state == "ready" else self._health.state
+        if self._health.state != "ready" or self.horse_pid:
+            return self._health.state
+        if self._membership is not None:
+            return self._membership.state
+        return "incomplete" if self._gang is not None and self._gang.problem else "ready"
+
+    @property
+    def _problem(self) -> str | None:
+        """A sentence on the state."""
+        match self._shown_state:
+            case "incomplete":
+                return self._gang.problem if self._gang else None
+            case "lent" | "kept":
+                return self._membership.problem if self._membership else None
+            case _:
+                return self._health.problem
 
     def _show_idle(self) -> None:
         try:
@@ -325,9 +362,7 @@ class GaitwayWorker(rq.Worker):
         news = {
             "job": job_of(job) if job else None,
             "state": self._shown_state,
-            "problem": self._gang.problem
-            if self._gang and self._shown_state == "incomplete"
-            else self._health.problem,
+            "problem": self._problem,
         }
         info = self._info.model_copy(update={"seen_at": utc_now(), **news})
         self._is_announcing = True
@@ -373,8 +408,8 @@ class GaitwayWorker(rq.Worker):
                 os.kill(self.horse_pid, signal.SIGTERM)
 
 
-class _HostMissing(Exception):
-    """A host has left while the worker waits for a job."""
+class _MustWait(Exception):
+    """While the worker waits for a job a host has left, or its GPU was lent."""
 
 
 def health_of(device: str, settings: WorkerSettings) -> DeviceHealth:

@@ -11,12 +11,13 @@ from typing import Any, ClassVar
 import structlog
 from rq.job import Job as RqJob
 
-from core.adapters.rq.queue import this_worker
+from core.adapters.rq.queue import put_back, this_worker
 from core.adapters.wiring import job_store, object_store
 from core.configuration import read
 from core.errors import JobUnreadable, Misconfigured, NotFound, Unavailable
-from core.jobs.attempts import claim_turn, new_secret
+from core.jobs.attempts import Claim, claim_turn, new_secret
 from core.jobs.job import Job
+from core.jobs.pools import NothingFits
 from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery, JobStore
@@ -32,6 +33,7 @@ from worker.host.allocation import allocation
 from worker.host.device import device_of
 from worker.host.disk import has_room, what_to_do
 from worker.host.locks import slot_names
+from worker.host.pool import Kept, Pool, pool_of
 from worker.host.processes import die_with_parent
 from worker.preview.drawing import draw
 from worker.stopping import Draining
@@ -64,7 +66,8 @@ def run_attempt(job_id: str, attempt: int) -> None:
         return
     try:
         device = device_of(settings.device)
-        places = slot_names(device, os.getppid())
+        slot_names(device, os.getppid())
+        pool = pool_of(settings, device)
     except Misconfigured as error:  # A GPU has gone since the worker started.
         _leave_to_others(error.detail, draining)
         return
@@ -74,7 +77,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
     gang = gang_here()
     take = partial(
         claim_turn,
-        queue_names(device, 1 if gang is None else gang.place.hosts),
+        queue_names(device, 1 if gang is None else gang.place.hosts, 1 if pool is None else len(pool.locks)),
         worker,
         store=store,
         objects=object_store(settings, observe=tallies.observe_store),
@@ -86,10 +89,14 @@ def run_attempt(job_id: str, attempt: int) -> None:
     if gang is not None and not gang.answers():
         _leave_to_others(gang.problem or "A host does not answer.", draining)
         return
+    held = None
     try:
         workers = retry_while_unavailable(store.workers, called_off=draining.is_set)
-        fits = partial(_fits, has=packages_here(), workers=workers)
-        claim = retry_while_unavailable(partial(take, fits=fits), called_off=draining.is_set)
+        take = partial(take, fits=partial(_fits, has=packages_here(), workers=workers))
+        if pool is None:
+            claim = retry_while_unavailable(take, called_off=draining.is_set)
+        else:
+            claim, held = _from_pool(pool, workers, take, draining)
     except (CalledOff, NotFound, JobUnreadable) as error:
         log.info("dispatch_ignored", error=str(error))
         return
@@ -99,12 +106,42 @@ def run_attempt(job_id: str, attempt: int) -> None:
     configure_logging(
         "worker", job_id=claim.job_id, attempt=claim.number, correlation_id=claim.correlation_id
     )
-    log.info("attempt_began", worker=worker)
-    test = device_health.command_for(device)
+    device = claim.device or device
+    log.info("attempt_began", worker=worker, device=device)
     supervisor = Supervisor(
-        claim, settings, device, places, draining=draining, device_test=test, gang=gang, tallies=tallies
+        claim,
+        settings,
+        device,
+        slot_names(device, os.getppid()),
+        draining=draining,
+        device_test=device_health.command_for(device),
+        gang=gang,
+        held=held,
+        tallies=tallies,
     )
     supervisor.run()
+
+
+def _from_pool(
+    pool: Pool, workers: Sequence[WorkerInfo], take: Callable[..., Claim | None], draining: Draining
+) -> tuple[Claim | None, Kept | None]:
+    """The job whose turn it is on the GPUs that are free, with their locks. Raises CalledOff.
+
+    Where it cannot have one now, the message goes back into the queue, for another worker or a later moment.
+    """
+    with pool.turn(draining.is_set) as turn:
+        offer = turn.offer(workers)
+        if offer is None:
+            put_back()
+            return None, None
+        try:
+            claim = retry_while_unavailable(partial(take, offer=offer), called_off=draining.is_set)
+        except NothingFits as error:
+            log.info("gpus_kept", detail=str(error))
+            pool.note_kept(str(error))
+            put_back()
+            return None, None
+        return claim, None if claim is None else turn.keep(claim.device, claim.job_id)
 
 
 def validate_model(model_id: str) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from core.errors import IllegalTransition, LeaseLost, StaleJob
 from core.jobs.job import Artifact, Job
+from core.jobs.pools import GIVEN, Offer
 from core.jobs.status import LOSSES, MAX_ATTEMPTS, RETRIED, JobStatus
 from core.jobs.store import JobStore
 from core.reasons import Reason
@@ -20,7 +21,10 @@ _FAILURES = RETRIED - {Reason.WORKER_LOST}
 
 @dataclass(frozen=True)
 class Claim:
-    """An attempt that holds its job. Each method may be called again if its answer was lost."""
+    """An attempt that holds its job. Each method may be called again if its answer was lost.
+
+    device: the GPUs that it was given, where its worker belongs to a pool; else empty.
+    """
 
     job_id: str
     number: int
@@ -28,6 +32,7 @@ class Claim:
     store: JobStore
     objects: ObjectStore
     correlation_id: str | None = None
+    device: str = ""
 
     def start(self, **facts: Any) -> Job:
         """Set the job to running, with facts about the attempt. A job that is being cancelled stays so.
@@ -121,10 +126,11 @@ def claim_turn(  # noqa: PLR0913 # Who, what, and where it is written.
     details: Mapping[str, Any] | None = None,
     fits: Callable[[Job], bool] = lambda job: True,
     told: str = "",
+    offer: Offer | None = None,
 ) -> Claim | None:
     """Claim the job whose turn it is among those of these queues; None if there is none that may start.
 
-    The rest as for `claim_attempt` and `JobStore.take_turn`.
+    The rest as for `claim_attempt` and `JobStore.take_turn`. Raises NothingFits.
     """
     job = store.take_turn(
         queues,
@@ -135,10 +141,13 @@ def claim_turn(  # noqa: PLR0913 # Who, what, and where it is written.
         details=details,
         fits=fits,
         told=told,
+        offer=offer,
     )
     if job is None:
         return None
-    return Claim(job.id, job.attempts[-1].number, job.token, store, objects, job.correlation_id)
+    attempt = job.attempts[-1]
+    given = attempt.details.get(GIVEN, "")
+    return Claim(job.id, attempt.number, job.token, store, objects, job.correlation_id, given)
 
 
 def claim_attempt(  # noqa: PLR0913 # Who, what, and where it is written.

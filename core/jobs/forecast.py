@@ -1,37 +1,30 @@
 """When a waiting job should start, how many are before it, and why it waits: an estimate. Pure."""
 
 import math
+from bisect import insort
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from heapq import heapify, heapreplace
 
 from core.environments.info import Device
 from core.jobs.pools import pools_of
-from core.jobs.turns import Held, Pool, Quotas, Request, Share, Standings, Started, in_order, standings_on
+from core.jobs.turns import Held, Pool, Request, Standings, TurnFacts, in_order, standings_on
 from core.jobs.workers import WorkerInfo
 
 # A job that has run for longer than usual ends in about so many seconds.
 _OVERDUE_S = 60.0
-
-
-@dataclass(frozen=True)
-class TurnFacts:
-    """What the record says of one moment. waiting: the oldest, with the kind of the slot that each needs."""
-
-    waiting: Sequence[Request]
-    started: Sequence[Started]
-    shares: Sequence[Share]
-    quotas: Quotas
+# Lanes of which it does not matter which one a job takes: their kinds and pool.
+_Alike = tuple[frozenset[str], str]
 
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """A slot for one job at a time. kinds: of requests that it takes. free_s: in how many seconds it is free,
-    an estimate; None where nobody knows."""
+    """A slot for one job at a time, or a GPU of a pool. kinds: of requests that it takes. free_s: in how many
+    seconds it is free, an estimate; None where nobody knows. pool: its name, if a job takes a lane a GPU."""
 
     kinds: frozenset[str]
     free_s: float | None
+    pool: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +44,7 @@ def forecasts_of(facts: TurnFacts, workers: Sequence[WorkerInfo]) -> Mapping[str
     for device in devices:
         standings, usual_s = standings_on(device, facts.shares, facts.started, facts.quotas)
         pools, running = pools_of(device, workers, facts.started, usual_s)
-        lanes = [_lane(pool, running) for pool in pools]
+        lanes = [lane for pool in pools for lane in _lanes(pool, running)]
         kinds = frozenset[str]().union(*(lane.kinds for lane in lanes))
         requests = [
             replace(request, expected_s=usual_s.get(request.who))
@@ -65,12 +58,16 @@ def forecasts_of(facts: TurnFacts, workers: Sequence[WorkerInfo]) -> Mapping[str
     return found
 
 
-def _lane(pool: Pool, running: Sequence[Held]) -> Lane:
-    holds = next((held for held in running if held.pool == pool.name), None)
-    if holds is None:
-        return Lane(pool.kinds, 0.0)
-    left_s = holds.ends_at
-    return Lane(pool.kinds, left_s if left_s is None or left_s > 0 else _OVERDUE_S)
+def _lanes(pool: Pool, running: Sequence[Held]) -> Iterator[Lane]:
+    name, total = (pool.name, pool.gpus) if pool.is_shared else ("", 1)
+    ends = [
+        held.ends_at if held.ends_at is None or held.ends_at > 0 else _OVERDUE_S
+        for held in running
+        if held.pool == pool.name
+        for _ in range(held.gpus if pool.is_shared else 1)
+    ]
+    for free_s in ends[:total] + [0.0] * (total - len(ends)):
+        yield Lane(pool.kinds, free_s, name)
 
 
 def _start(forecast: Forecast) -> float:
@@ -81,27 +78,29 @@ def forecasts(
     requests: Sequence[Request], lanes: Sequence[Lane], standings: Standings, usual_s: float | None
 ) -> Mapping[str, Forecast]:
     """By the job's id. usual_s: the duration of a job of which nothing is expected. Changes the standings."""
-    free = defaultdict[frozenset[str], list[float]](list)
+    free = defaultdict[_Alike, list[float]](list)
     for lane in lanes:
-        free[lane.kinds].append(math.inf if lane.free_s is None else lane.free_s)
-    for ends in free.values():
-        heapify(ends)
+        insort(free[lane.kinds, lane.pool], math.inf if lane.free_s is None else lane.free_s)
     limits = {request.who: standings.limit(request.who) for request in requests}
-    started = Counter[frozenset[str]]()
+    started = Counter[_Alike]()
     found = dict[str, Forecast]()
     for request in in_order(requests, standings):
-        able = [kinds for kinds in free if request.kind in kinds]
-        before = sum(started[kinds] for kinds in able)
+        takes = {alike: request.gpus if alike[1] else 1 for alike in free if request.kind in alike[0]}
+        able = [alike for alike, number in takes.items() if number <= len(free[alike])]
+        before = sum(started[alike] for alike in able)
         if not able:
             found[request.id] = Forecast(before, None, "No worker takes jobs like it.")
             continue
-        kinds = min(able, key=lambda kinds: free[kinds][0])
-        starts_s = free[kinds][0]
+        first = min(able, key=lambda alike: free[alike][takes[alike] - 1])
+        number, ends = takes[first], free[first]
+        starts_s = ends[number - 1]
         takes_s = request.expected_s if request.expected_s is not None else usual_s
-        heapreplace(free[kinds], math.inf if takes_s is None else starts_s + takes_s)
-        slots = sum(len(free[kinds]) for kinds in able)
+        del ends[:number]
+        for _ in range(number):
+            insort(ends, math.inf if takes_s is None else starts_s + takes_s)
+        slots = sum(len(free[alike]) // takes[alike] for alike in able)
         found[request.id] = Forecast(before, starts_s if starts_s < math.inf else None, _why(before, slots))
-        started[kinds] += 1
+        started[first] += 1
     for request in requests:
         if request.id not in found:
             # Some of theirs would start, and the rest after them.

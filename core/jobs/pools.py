@@ -1,37 +1,132 @@
 """The workers of the record as pools, and the running attempts as what they hold of them. Pure.
 
-Each worker is a pool: it has room for one job on all of its GPUs, or on its CPU.
+The workers of a machine that share out its GPUs are one pool. Each other worker is a pool that has room for
+one job, on all of its GPUs or on its CPU.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
-from core.devices import gpu_indices
+from core.devices import device_name, gpu_indices
 from core.environments.info import Device
-from core.jobs.turns import Held, Pool, Started, Who, held_of
-from core.jobs.workers import WorkerInfo, kind_of
+from core.jobs.turns import (
+    Held,
+    Pool,
+    Request,
+    Started,
+    TurnFacts,
+    Who,
+    choose,
+    held_of,
+    in_order,
+    standings_on,
+)
+from core.jobs.workers import WorkerInfo, host_and_device, kind_of
+
+# The detail of an attempt that says which GPUs of a pool it was given, as a device's name.
+GIVEN = "gpus"
+
+
+@dataclass(frozen=True)
+class Offer:
+    """What a worker of a pool can give a job now. pool: its name, as `name_of` makes it. own: the worker's
+    GPU, which each of its jobs has. free: the GPUs without a job, the own one among them. workers: all."""
+
+    pool: str
+    own: int
+    free: frozenset[int]
+    workers: Sequence[WorkerInfo] = ()
+
+    def device(self, gpus: int) -> str:
+        """So many of the free GPUs, as a device's name: of the smallest aligned block that has them, such as
+        4 to 7, so that large blocks stay whole and a job's GPUs are neighbours."""
+        size = 1
+        while len(block := [gpu for gpu in self.free if gpu // size == self.own // size]) < gpus:
+            size *= 2
+        return device_name(sorted(block, key=lambda gpu: (abs(gpu - self.own), gpu))[:gpus])
+
+
+class NothingFits(Exception):
+    """Jobs wait that an offer is too small for, or that would delay a larger one: a sentence."""
+
+
+def choose_for(offer: Offer, requests: Sequence[Request], facts: TurnFacts) -> Request | None:
+    """The waiting job that may have what is offered; None if none has a turn. Raises NothingFits."""
+    standings, usual_s = standings_on("gpu", facts.shares, facts.started, facts.quotas)
+    known, running = pools_of("gpu", offer.workers, facts.started, usual_s)
+    own = _with_offer(offer, known)
+    pools = [own, *(pool for pool in known if pool.name != own.name)]
+    ordered = [
+        replace(request, expected_s=usual_s.get(request.who)) for request in in_order(requests, standings)
+    ]
+    chosen = choose(own, ordered, pools, running, 0.0)
+    if chosen is None and ordered:
+        first, verb = ordered[0], "is" if own.free == 1 else "are"
+        raise NothingFits(
+            f"The job {first.id} comes first, and needs {first.gpus} GPUs; {own.free} {verb} free here."
+        )
+    return chosen
 
 
 def pools_of(
     device: Device, workers: Sequence[WorkerInfo], started: Sequence[Started], usual_s: Mapping[Who, float]
 ) -> tuple[Sequence[Pool], Sequence[Held]]:
-    """The workers with this kind of device that take jobs, and what holds them. Now is 0 s.
+    """The pools of this kind of device that take jobs, and what holds them. Now is 0 s.
 
     usual_s: how long a user's attempts take, as `standings_on` has it.
     """
-    ready = [worker for worker in workers if worker.state == "ready" and kind_of(worker.device) == device]
-    gpus = {worker.name: max(1, len(gpu_indices(worker.device))) * worker.hosts for worker in ready}
-    held = [held_of(one, usual_s) for one in started if one.worker in gpus]
+    able = [worker for worker in workers if worker.takes_jobs and kind_of(worker.device) == device]
+    members = defaultdict[str, list[WorkerInfo]](list)
+    for worker in able:
+        members[name_of(worker.pool, worker.host) or worker.name].append(worker)
+    homes = {worker.name: name for name, group in members.items() for worker in group}
+    gone = _pools_by_gpu(able)
+    held = [
+        replace(held_of(one, usual_s), pool=home)
+        for one in started
+        if (home := homes.get(one.worker) or gone.get(host_and_device(one.worker)))
+    ]
     taken = Counter[str]()
     for one in held:
         taken[one.pool] += one.gpus
-    pools = [
-        Pool(worker.name, gpus[worker.name], gpus[worker.name] - taken[worker.name], kinds_of(worker))
-        for worker in ready
-    ]
+    pools = list[Pool]()
+    for name, group in members.items():
+        gpus = _num_gpus(group)
+        kinds = frozenset[str]().union(*map(kinds_of, group))
+        pools.append(Pool(name, gpus, max(0, gpus - taken[name]), kinds, is_shared=group[0].pool is not None))
     return pools, held
 
 
 def kinds_of(worker: WorkerInfo) -> frozenset[str]:
     """The kinds of slot that it serves, as requests name them."""
     return frozenset(queue.rpartition("-")[0] for queue in worker.queues)
+
+
+def _with_offer(offer: Offer, pools: Sequence[Pool]) -> Pool:
+    """The worker's own pool, with what is free there by its own look: the record may not have heard of the
+    worker yet, or that a process still holds a GPU."""
+    free = len(offer.free)
+    for pool in pools:
+        if pool.name == offer.pool:
+            return replace(pool, gpus=max(pool.gpus, free), free=free)
+    return Pool(offer.pool, free, free, is_shared=True)
+
+
+def name_of(pool: str | None, host: str) -> str:
+    """Of the pool of these GPUs on this host; empty for a worker that belongs to none."""
+    return f"{host}/{pool}" if pool else ""
+
+
+def _pools_by_gpu(workers: Sequence[WorkerInfo]) -> dict[tuple[str, str], str]:
+    """The pool of each GPU: an attempt outlives its worker for a while, or that of an earlier start."""
+    shared = {(worker.host, worker.pool) for worker in workers if worker.pool is not None}
+    return {(host, f"gpu:{gpu}"): name_of(pool, host) for host, pool in shared for gpu in gpu_indices(pool)}
+
+
+def _num_gpus(group: Sequence[WorkerInfo]) -> int:
+    """One for each device of a pool, which may have a new worker beside the report of the last one."""
+    one = group[0]
+    if one.pool is not None:
+        return len({worker.device for worker in group})
+    return max(1, len(gpu_indices(one.device))) * one.hosts

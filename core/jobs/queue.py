@@ -72,10 +72,11 @@ def looks_at_models(queues: Collection[str]) -> bool:
     return PREVIEWS in queues
 
 
-def queue_names(device: str, hosts: int = 1) -> tuple[str, ...]:
+def queue_names(device: str, hosts: int = 1, pool: int = 1) -> tuple[str, ...]:
     """The queues a worker on this device serves, most urgent first.
 
-    hosts: the number of machines, each with such a device, that take a job together.
+    hosts: the number of machines, each with such a device, that take a job together. pool: how many GPUs
+    jobs share out among themselves, where this device is one of them.
     """
     gpus = len(gpu_indices(device))
     if hosts > 1:
@@ -84,7 +85,18 @@ def queue_names(device: str, hosts: int = 1) -> tuple[str, ...]:
     if gpus > 1:
         return tuple(queue_name("gpu", priority, gpus) for priority in PRIORITIES)
     kinds: tuple[Accelerator, ...] = ("gpu", "any") if gpus else ("cpu", "any")
-    return (PREVIEWS, MODELS, *(queue_name(kind, priority) for priority in PRIORITIES for kind in kinds))
+    return (
+        PREVIEWS,
+        MODELS,
+        *(
+            name
+            for priority in PRIORITIES
+            for name in (
+                *(queue_name(kind, priority) for kind in kinds),
+                *(queue_name("gpu", priority, several) for several in range(2, pool + 1)),
+            )
+        ),
+    )
 
 
 def queue_name(accelerator: Accelerator, priority: Priority, gpus: int = 1, hosts: int = 1) -> str:

@@ -11,15 +11,15 @@ from pydantic import Field
 from core.accounts.principal import Ownership
 from core.documents import Stored
 from core.errors import Problem, Rejected
-from core.jobs.forecast import TurnFacts
 from core.jobs.job import Job, Progress, UnreadableJob, utc_now
 from core.jobs.metrics import Block, Measurement
 from core.jobs.patch import JobPatch
+from core.jobs.pools import Offer
 from core.jobs.retention import RetentionStore
 from core.jobs.slots import QueueCount
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
-from core.jobs.turns import Quotas
+from core.jobs.turns import Quotas, TurnFacts
 from core.jobs.usage import UsageStore
 from core.jobs.workers import WorkerStore
 from core.news.store import NewsStore
@@ -338,13 +338,16 @@ class JobStore(ModelStore, NewsStore, RetentionStore, UsageStore, WorkerStore, P
         details: Mapping[str, Any] | None = None,
         fits: Callable[[Job], bool] = lambda job: True,
         told: str = "",
+        offer: Offer | None = None,
     ) -> Job | None:
         """Claim the job whose turn it is, by `core.jobs.turns`, among the queued ones of these queues; None
         if none may start now. The choice and the claim are one transaction, and claims come one by one.
 
         secret: of the claim's token; a call that is repeated with the same one returns the job claimed then.
         fits: whether this worker can run the job; it has to be quick. told: the job of RQ's message, which
-        counts for the queues also where an older version wrote its row.
+        counts for the queues also where an older version wrote its row. offer: of a worker that belongs to a
+        pool; the attempt's details then say which GPUs the job was given (`GIVEN`). Raises NothingFits if
+        jobs wait for which the offer is too small, or that would delay a larger one.
         """
         ...
 

@@ -64,15 +64,23 @@ class Held:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """The GPUs of a machine that jobs share out among themselves; or a slot for one job.
+    """The GPUs of a machine that jobs share out among themselves (is_shared); or a slot for one job.
 
-    kinds: of the requests that it takes.
+    kinds: of the requests that it takes; none: of any. free: how many GPUs no job holds.
     """
 
     name: str
     gpus: int
     free: int
     kinds: frozenset[str] = frozenset()
+    is_shared: bool = False
+
+    def could_hold(self, request: "Request") -> bool:
+        """Once its jobs have ended."""
+        return request.gpus <= self.gpus and (not self.kinds or request.kind in self.kinds)
+
+    def has_room(self, request: "Request") -> bool:
+        return request.gpus <= self.free and self.could_hold(request)
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +253,16 @@ class Started:
     is_preemptible: bool = False
 
 
+@dataclass(frozen=True)
+class TurnFacts:
+    """What the record says of one moment. waiting: the oldest, with the kind of the slot that each needs."""
+
+    waiting: Sequence[Request]
+    started: Sequence[Started]
+    shares: Sequence[Share]
+    quotas: Quotas
+
+
 def held_of(one: Started, usual_s: Mapping[Who, float]) -> Held:
     """What it holds of its worker's pool, if now is 0 s. usual_s: how long attempts of its user take."""
     expected_s = usual_s.get(one.who)
@@ -298,12 +316,13 @@ def choose(
     kept = dict[str, Reservation]()
     most = max(1, int(MOST_KEPT * len(pools)))
     for request in ordered:
-        if request.gpus <= offer.free and not _delays(request, offer, kept, now):
+        if offer.has_room(request) and not _delays(request, offer, kept, now):
             return request
-        if len(kept) < most and not any(request.gpus <= pool.free for pool in pools if pool.name not in kept):
-            others = [pool for pool in pools if pool.name not in kept]
-            if (found := reserve(request, others, running, now)) is not None:
-                kept[found.pool] = found
+        others = [pool for pool in pools if pool.name not in kept] if len(kept) < most else []
+        if any(pool.has_room(request) for pool in others):
+            continue
+        if (found := reserve(request, others, running, now)) is not None:
+            kept[found.pool] = found
     return None
 
 
@@ -314,7 +333,7 @@ def reserve(
     found = [
         Reservation(request, pool.name, *_room(request.gpus, pool, running, now))
         for pool in pools
-        if request.gpus <= pool.gpus
+        if pool.could_hold(request)
     ]
     # Of several without an estimate, the one that is emptiest now.
     free = {pool.name: pool.free for pool in pools}
@@ -351,9 +370,9 @@ def to_drain(request: Request, pools: Sequence[Pool], running: Sequence[Held]) -
     Only jobs of lower priority, and of the same one those that said that they are preemptible, and are
     another user's. Empty if that makes no room, or there is room.
     """
-    if any(request.gpus <= pool.free for pool in pools):
+    if any(pool.has_room(request) for pool in pools):
         return []
-    found = [_victims(request, pool, running) for pool in pools if request.gpus <= pool.gpus]
+    found = [_victims(request, pool, running) for pool in pools if pool.could_hold(request)]
     return min(filter(None, found), key=_loss, default=list[Held]())
 
 

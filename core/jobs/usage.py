@@ -11,6 +11,7 @@ from typing import Protocol
 
 from core.devices import gpu_indices
 from core.jobs.job import Job
+from core.jobs.pools import GIVEN
 from core.jobs.status import JobStatus
 from core.jobs.tallies import Tally
 from core.jobs.workers import host_and_device
@@ -26,9 +27,9 @@ DEVICES_SHOWN, MOST_DEVICES = timedelta(days=1), 1000
 class LedgerEntry:
     """An entry of the ledger. hour: its beginning. jobs, attempts: how many ended.
 
-    status: the job's afterwards; `queued` if it waits for another attempt. host, device: the worker's; empty
-    for a job that ended without an attempt. seconds: of the attempt in this hour; gpu_seconds: those, times
-    the GPUs.
+    status: the job's afterwards; `queued` if it waits for another attempt. host, device: the worker's, or the
+    GPUs of a pool that it had; empty for a job that ended without an attempt. seconds: of the attempt in this
+    hour; gpu_seconds: those, times the GPUs.
     """
 
     hour: datetime
@@ -60,18 +61,28 @@ class Ended:
 
 @dataclass(frozen=True)
 class RunningAttempt:
-    """An attempt that holds its job now. worker: the first, where there is one on each of several hosts."""
+    """An attempt that holds its job now. worker: the first, where there is one on each of several hosts.
+
+    given: the GPUs that it was given of a pool; empty where it has its worker's.
+    """
 
     project: str
     owner: str
     worker: str
     started_at: datetime
     hosts: int = 1
+    given: str = ""
+
+    @property
+    def where(self) -> tuple[str, str]:
+        """Its host, and what it has there."""
+        host, device = host_and_device(self.worker)
+        return host, self.given or device
 
     @property
     def num_gpus(self) -> int:
         """Those of all hosts."""
-        return self.hosts * len(gpu_indices(host_and_device(self.worker)[1]))
+        return self.hosts * len(gpu_indices(self.where[1]))
 
 
 @dataclass(frozen=True)
@@ -161,6 +172,8 @@ def entries(job: Job, before: JobStatus) -> list[LedgerEntry]:
         return []
     reason = (attempt.reason if attempt else None) or job.reason
     host, device = host_and_device(attempt.worker) if attempt else ("", "")
+    if attempt and (given := attempt.details.get(GIVEN)):
+        device = str(given)
     began_at = min(attempt.started_at, ended_at) if attempt else ended_at  # A clock may have been set back.
     hours = list(hours_between(began_at, ended_at)) or [(beginning_of_hour(ended_at), 0.0)]
     last = hours[-1][0]
@@ -198,7 +211,7 @@ def usage_of(
     """
     projects, busy = dict(ended), {key: dict(hours) for key, hours in devices.items()}
     for attempt in running:
-        who, where = (attempt.project, attempt.owner), host_and_device(attempt.worker)
+        who = (attempt.project, attempt.owner)
         used = projects.get(who, ProjectUsage(*who))
         seconds = max(0.0, (until - max(since, attempt.started_at)).total_seconds())
         projects[who] = replace(
@@ -207,7 +220,7 @@ def usage_of(
             seconds=used.seconds + seconds,
             gpu_seconds=used.gpu_seconds + seconds * attempt.num_gpus,
         )
-        hours = busy.setdefault(where, {})
+        hours = busy.setdefault(attempt.where, {})
         for hour, part in hours_between(max(day, attempt.started_at), until):
             hours[hour] = hours.get(hour, 0.0) + part
     hours = [hour for hour, _ in hours_between(day, until)]

@@ -1,6 +1,7 @@
 """Workers: their reports on themselves, what a job needs of one, and why a queued job waits."""
 
 import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -25,7 +26,7 @@ from core.physics.availability import PACKAGES
 # A worker names itself by its host, its device and a few random digits.
 WORKER_NAME = "[!-~]{1,200}"
 _PARTS_OF_NAME = re.compile(r"(?P<host>[^:]+):(?P<device>cpu|gpu(:[0-9,-]+)?)(:[0-9a-f]{6})?")
-WorkerState = Literal["ready", "testing", "device_failed", "incomplete"]
+WorkerState = Literal["ready", "testing", "device_failed", "incomplete", "lent", "kept"]
 
 
 class WorkerInfo(Stored):
@@ -33,10 +34,12 @@ class WorkerInfo(Stored):
 
     job: the one that it runs, or whose message it took from the queue. jobs: all whose attempts it runs now;
     no report names them, the store adds them. state: a `ready` worker takes jobs or has one; it takes none
-    while it tests its device, after that has failed a test, or while it lacks a host. problem: a sentence on
-    that. hosts: how many machines, each with such a device, take a job together. memory_bytes: of each
-    device, where known. packages: the optional packages that it has; null if a worker of an older version did
-    not report them. allocation: what the cluster that started it calls the allocation it runs in.
+    while it tests its device, after that has failed a test, while it lacks a host, while a job of another
+    worker of its pool has its GPU (`lent`), or while GPUs are kept for a larger job (`kept`). problem: a
+    sentence on that. hosts: how many machines, each with such a device, take a job together. pool: the GPUs
+    of its host, its own among them, that jobs of any number share out. memory_bytes: of each device, where
+    known. packages: the optional packages that it has; null if a worker of an older version did not report
+    them. allocation: what the cluster that started it calls the allocation it runs in.
     """
 
     name: str
@@ -44,6 +47,7 @@ class WorkerInfo(Stored):
     pid: int
     device: str
     hosts: int = 1
+    pool: str | None = None
     queues: tuple[str, ...] = ()
     job: str | None = None
     jobs: tuple[str, ...] = ()
@@ -54,6 +58,11 @@ class WorkerInfo(Stored):
     allocation: dict[str, str] | None = None
     started_at: datetime
     seen_at: datetime
+
+    @property
+    def takes_jobs(self) -> bool:
+        """Now, or once those that hold its device have ended."""
+        return self.state in ("ready", "lent", "kept")
 
 
 @dataclass(frozen=True)
@@ -169,7 +178,10 @@ def what_it_waits_for(job: Job, workers: Sequence[WorkerInfo]) -> str | None:
         why = (
             "The device of each suitable worker was set aside" if is_device else "Each suitable worker waits"
         )
-        return f"{why}: " + " ".join(f"{worker.name}: {worker.problem}" for worker in suitable)
+        return f"{why}: " + _problems(suitable)
+    if not _has_gpus(job, able):
+        failed = [worker for worker in suitable if worker not in able]
+        return f"No host has {job.spec.resources.gpus} GPUs that work. {_problems(failed)}".rstrip()
     packages, memory = packages_for(job), memory_for(job.spec)
     equipped = [worker for worker in able if not _missing(worker.packages, packages)]
     if not equipped:
@@ -206,7 +218,21 @@ def _with_device(workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
     return [worker for worker in workers if worker.state not in ("device_failed", "incomplete")]
 
 
+def _has_gpus(job: Job, workers: Sequence[WorkerInfo]) -> bool:
+    """Whether one of them has enough, or all of a pool together."""
+    if any(worker.pool is None for worker in workers):
+        return True
+    devices = {(one.host, one.pool, one.device) for one in workers}
+    return max(Counter(device[:2] for device in devices).values()) >= job.spec.resources.gpus
+
+
+def _problems(workers: Sequence[WorkerInfo]) -> str:
+    return " ".join(f"{worker.name}: {worker.problem}" for worker in workers)
+
+
 def _has(worker: WorkerInfo) -> str:
+    if worker.pool is not None:
+        return f"{len(gpu_indices(worker.pool))} GPUs of one host"
     return worker.device if worker.hosts == 1 else f"{worker.device} on each of {worker.hosts} hosts"
 
 

@@ -198,11 +198,17 @@ def _parts(job: JobView) -> list[str]:
     lines = list[str]()
     for attempt in job.attempts:
         end = f"{attempt.reason}: {attempt.message}" if attempt.reason else "still running"
-        parts = (attempt.worker, attempt.device, attempt.engine, _allocation(attempt))
+        parts = (attempt.worker, _given(attempt), attempt.device, attempt.engine, _allocation(attempt))
         where = ", ".join(part for part in parts if part)
         lines.append(f"  attempt {attempt.number} on {where}: {end}")
     lines += [f"  {a.name}  {a.size:,} bytes  {a.media_type}" for a in job.artifacts]
     return lines
+
+
+def _given(attempt: AttemptView) -> str | None:
+    """The GPUs that it was given of a pool, if there are several."""
+    gpus = str(attempt.details.get("gpus", ""))
+    return gpus if "," in gpus else None
 
 
 def _allocation(attempt: AttemptView) -> str | None:
@@ -233,6 +239,7 @@ def workers(context: typer.Context, as_json: AsJson = False) -> None:
         state = f"{worker.state}: {worker.problem}" if worker.problem else worker.state
         jobs = worker.jobs or ((worker.job,) if worker.job else ())
         device = worker.device if worker.hosts == 1 else f"{worker.device} of {worker.hosts} hosts"
+        device += f" of {worker.pool}" if worker.pool else ""
         table.add_row(*map(Text, (worker.name, device, state, ", ".join(jobs) or "none")))
     Console().print(table)
 

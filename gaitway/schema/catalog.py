@@ -134,10 +134,12 @@ class WorkerView(View):
     """A worker's report on itself, which it sends at every heartbeat.
 
     job: the one that it took from the queue. jobs: all whose attempts it runs now. state: a `ready` worker
-    takes jobs or has one; it takes none while it tests its device, after that has failed a test, or while it
-    lacks a host. problem: a sentence on that. hosts: how many machines, each with such a device, take a job
-    together. memory_bytes: of each device, where known. packages: the optional packages that it has; null if
-    a worker of an older version did not report them.
+    takes jobs or has one; it takes none while it tests its device, after that has failed a test, while it
+    lacks a host, while a job of another worker of its pool has its GPU (`lent`), or while GPUs are kept for a
+    larger job (`kept`). problem: a sentence on that. hosts: how many machines, each with such a device, take
+    a job together. pool: the GPUs of its host, its own among them, that jobs of any number share out; null:
+    it has jobs on its own device alone. memory_bytes: of each device, where known. packages: the optional
+    packages that it has; null if a worker of an older version did not report them.
     allocation: what the cluster that started it calls the allocation it runs in: `scheduler`, `id`, `node`,
     `account`.
     """
@@ -147,6 +149,7 @@ class WorkerView(View):
     pid: int = 0
     device: str = ""
     hosts: int = 1
+    pool: str | None = None
     queues: tuple[str, ...] = ()
     job: str | None = None
     jobs: tuple[str, ...] = ()

@@ -75,8 +75,9 @@ OTHERS = (
     OtherVariable(
         "GAITWAY_FLEET",
         "Docker Compose",
-        "one for each GPU",
-        "Devices of the workers of the profile `gpu`: `gpu:0,1 gpu:2 gpu:3` is a pair and two single GPUs.",
+        "–",
+        "Devices of the workers of the profile `gpu`, each for jobs of as many GPUs: `gpu:0,1 gpu:2`. By "
+        "default jobs share out all GPUs.",
     ),
     OtherVariable("GAITWAY_WORKERS", "Docker Compose", "`1`", "How many workers share the CPU."),
     OtherVariable(

@@ -1,8 +1,10 @@
 """Which job a worker gets, in the real record; and that none is lost or claimed twice."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import timedelta
 from itertools import count
+from typing import Any
 
 import pytest
 import redis
@@ -12,11 +14,13 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.jobs.attempts import Claim, claim_turn, new_secret
 from core.jobs.job import Job
+from core.jobs.pools import NothingFits, Offer
 from core.jobs.queue import queue_name, queue_names
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.turns import Quota
+from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from tests.contract.recording import LEASE, NOW, Database, cancelled
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
@@ -60,6 +64,36 @@ def test_a_slot_gets_only_jobs_of_its_kind(job_store: PostgresJobStore) -> None:
     assert taken(job_store, 2) == [anywhere.id]
     assert taken(job_store, 2, "gpu:0,1") == [on_two.id]
     assert taken(job_store, 2, "gpu:0") == [on_gpu.id]
+
+
+def test_a_pool_gives_a_job_its_gpus_and_says_which(job_store: PostgresJobStore) -> None:
+    seen: Any = {"queues": queue_names("gpu:0", pool=4), "started_at": NOW, "seen_at": NOW}
+    four, two = (add(job_store, resources={"gpus": gpus}) for gpus in (4, 2))
+    objects = MemoryObjectStore()
+    workers = [
+        WorkerInfo(name=f"w{n}", host="host", pid=n, device=f"gpu:{n}", pool="gpu:0,1,2,3", **seen)
+        for n in range(4)
+    ]
+    offer = Offer("host/gpu:0,1,2,3", 2, frozenset({0, 1, 2, 3}), workers)
+
+    def take_of_pool(offer: Offer, secret: str = "") -> Claim | None:
+        secret = secret or new_secret()
+        stores: Any = {"store": job_store, "objects": objects}
+        queues = queue_names("gpu:2", pool=4)
+        return claim_turn(queues, "host:gpu:2:00000a", **stores, lease=LEASE, secret=secret, offer=offer)
+
+    with pytest.raises(NothingFits, match=f"{four.id} comes first, and needs 4 GPUs; 2 are free here"):
+        take_of_pool(replace(offer, free=frozenset({2, 3})))
+    first, again = take_of_pool(offer, "ab" * 8), take_of_pool(offer, "ab" * 8)
+    assert first == again
+    assert first is not None
+    assert (first.job_id, first.device) == (four.id, "gpu:0,1,2,3")
+    assert [one.num_gpus for one in job_store.numbers().running] == [4]
+    first.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    second = take_of_pool(replace(offer, free=frozenset({2, 3})))
+    assert second is not None
+    assert (second.job_id, second.device) == (two.id, "gpu:2,3")
+    assert take_of_pool(offer) is None
 
 
 def test_users_take_turns_and_what_they_used_is_remembered(

@@ -74,6 +74,11 @@ match behaviour:
         if STOP_SIGNAL in asked:
             keep("video.mp4", "video", b"film", 20)
         say(type="finished", stopped=True)
+    case "waits_for_its_job":
+        say(type="started", device=os.environ["CUDA_VISIBLE_DEVICES"], engine="none")
+        while not asked and not Path(os.environ["PROBE_WAITS_FOR"], spool.name.partition(".")[0]).exists():
+            time.sleep(0.01)
+        say(type="finished", stopped=bool(asked))
     case "has_nothing_new_to_keep":
         signal.signal(DRAIN_SIGNAL, signal.SIG_DFL)
         keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)

@@ -135,7 +135,7 @@ def _workers(seen: Seen, alive: Mapping[str, Allocation]) -> tuple[Counter[SlotK
 
     A pending allocation has no worker: one that is still listed was there before it was preempted.
     """
-    idle, heard = Counter[SlotKind](), set[str]()
+    idle, heard, shared = Counter[SlotKind](), set[str](), Counter[tuple[str, str]]()
     running = {one.id for one in alive.values() if one.state == "running"}
     known = {one.id for one in seen.allocations}
     for worker, silent_s in seen.workers:
@@ -144,9 +144,30 @@ def _workers(seen: Seen, alive: Mapping[str, Allocation]) -> tuple[Counter[SlotK
             continue
         if own in running:
             heard.add(str(own))
-        if not worker.job and not worker.jobs and worker.state != "device_failed":
+        if worker.job or worker.jobs or worker.state in ("device_failed", "lent", "kept"):
+            continue
+        if worker.pool is not None:
+            shared[worker.host, worker.pool] += 1
+        else:
             idle[_kind_of(worker.queues)] += 1
-    return idle, heard
+    return idle + _of_pools(shared.values(), seen.wanted), heard
+
+
+def _of_pools(free: Iterable[int], wanted: Sequence[WantedSlots]) -> Counter[SlotKind]:
+    """The slots that the free GPUs of each pool are for the jobs that wait, the largest first.
+
+    What is left are slots with one GPU.
+    """
+    idle = Counter[SlotKind]()
+    left = {one.kind: one.queued for one in wanted if one.kind.accelerator == "gpu" and one.kind.hosts == 1}
+    for number in free:
+        for kind in sorted(left, reverse=True):
+            slots = min(left[kind], number // kind.gpus)
+            idle[kind] += slots
+            left[kind] -= slots
+            number -= slots * kind.gpus
+        idle[GPU] += number
+    return idle
 
 
 def _kind_of(queues: Iterable[str]) -> SlotKind:

@@ -6,7 +6,7 @@ import subprocess
 from importlib.util import find_spec
 from pathlib import Path
 
-from core.devices import gpu_indices
+from core.devices import device_name, gpu_indices
 from core.errors import Misconfigured
 from worker.host.memory import allowed_bytes
 
@@ -31,7 +31,7 @@ def device_of(wanted: str, dev: Path = DEV, *, has_cuda: bool | None = None) -> 
         usable = jax_has_cuda() if has_cuda is None else has_cuda
         return "gpu:0" if usable and visible_gpus(dev) else "cpu"
     gpu_files(wanted, dev)
-    return "gpu:" + ",".join(map(str, gpu_indices(wanted)))
+    return device_name(gpu_indices(wanted))
 
 
 def jax_has_cuda() -> bool:

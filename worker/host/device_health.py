@@ -9,7 +9,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -97,10 +97,12 @@ def mark_of(data_dir: Path, slot_name: str) -> Path:
     return data_dir / "devices" / f"{slot_name}.failed"
 
 
-def set_aside(mark: Path, problem: str) -> None:
-    """Report the problem to the worker, which reads the file before it takes another job."""
-    mark.parent.mkdir(parents=True, exist_ok=True)
-    mark.write_text(problem)
+def set_aside(data_dir: Path, slot_names: Iterable[str], problem: str) -> None:
+    """Report the problem to the devices' workers, which read the files before they take another job."""
+    for name in slot_names:
+        mark = mark_of(data_dir, name)
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        mark.write_text(problem)
 
 
 class DeviceHealth:
@@ -121,7 +123,8 @@ class DeviceHealth:
         self.problem: str | None = None
         self._device, self._data_dir, self._command = device, data_dir, command
         self._locks = [data_dir / "locks" / f"{name}.lock" for name in slot_names]
-        self._mark = mark_of(data_dir, slot_names[0])
+        self._slot_names = tuple(slot_names)
+        self._marks = [mark_of(data_dir, name) for name in slot_names]
         self._pauses_s = pauses_s
         self._num_failures = 0
         self._test_at = 0.0
@@ -130,9 +133,9 @@ class DeviceHealth:
 
     def is_fit(self) -> bool:
         """Whether the worker may take a job. Call it repeatedly: each call does a little and none waits."""
-        if self.state == "ready":
-            with suppress(FileNotFoundError):
-                self._fail(self._mark.read_text())
+        said = [mark.read_text() for mark in self._marks if mark.exists()] if self.state == "ready" else []
+        if said:
+            self._fail(said[0])
         if self._test is not None:
             self._look(self._test)
         elif self.state != "ready" and time.monotonic() >= self._test_at:
@@ -168,7 +171,8 @@ class DeviceHealth:
 
     def _works(self) -> None:
         self._held.close()
-        self._mark.unlink(missing_ok=True)
+        for mark in self._marks:
+            mark.unlink(missing_ok=True)
         self.state, self.problem, self._num_failures = "ready", None, 0
         log.info("device_works", device=self._device)
 
@@ -176,5 +180,7 @@ class DeviceHealth:
         pause_s = self._pauses_s[min(self._num_failures, len(self._pauses_s) - 1)]
         self._num_failures += 1
         self.state, self.problem = "device_failed", problem
+        with suppress(OSError):  # Other workers of its pool see by it that it does not work.
+            set_aside(self._data_dir, self._slot_names, problem)
         self._test_at = time.monotonic() + pause_s
         log.error("device_set_aside", device=self._device, detail=problem, tested_again_in_s=pause_s)

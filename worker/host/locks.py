@@ -39,6 +39,16 @@ def remove_lock(path: Path, descriptor: int) -> None:
     os.close(descriptor)
 
 
+def is_held(path: Path) -> bool:
+    """Whether a process holds this lock. Where there is no file, nobody is disturbed by the question."""
+    if not path.exists():
+        return False
+    if (descriptor := take_lock(path)) is None:
+        return True
+    remove_lock(path, descriptor)
+    return False
+
+
 def remove_free_locks(folder: Path) -> None:
     """Remove the locks in this folder that nobody holds."""
     for path in folder.glob("*.lock"):

@@ -40,7 +40,7 @@ from worker.gang.messages import (
 from worker.gang.place import Place
 from worker.host.cgroup import memory_group
 from worker.host.child import TRAINING, TrainingProcess
-from worker.host.device_health import SUSPICIOUS, DeviceHealth, mark_of, set_aside
+from worker.host.device_health import SUSPICIOUS, DeviceHealth, set_aside
 from worker.host.disk import is_full, what_to_do
 from worker.host.health import show_life
 from worker.host.locks import SlotTaken, slots
@@ -169,7 +169,7 @@ class MemberAttempt:
             log.info("part_ended", status=ended.status, is_stopped=ended.is_stopped)
         if ended.failure is not None and ended.failure.reason in SUSPICIOUS:
             with suppress(OSError):
-                set_aside(mark_of(folder, self.member.slot_names[0]), ended.failure.message)
+                set_aside(folder, self.member.slot_names, ended.failure.message)
         self.connection.send(encoded(ended))
         caches.close(self.member.draining.is_set)
 

@@ -4,7 +4,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -34,7 +34,7 @@ from worker.compile_cache.session import Caches
 from worker.gang.members import Gang
 from worker.host.cgroup import memory_group
 from worker.host.child import TRAINING, TrainingProcess
-from worker.host.device_health import SUSPICIOUS, DeviceTest, mark_of, result_of, set_aside
+from worker.host.device_health import SUSPICIOUS, DeviceTest, result_of, set_aside
 from worker.host.disk import is_full, what_to_do
 from worker.host.locks import SlotTaken, slots
 from worker.host.memory import MemoryWatch, allowed_bytes
@@ -70,7 +70,8 @@ class Supervisor:
 
     draining: set, also by a signal handler, once the worker must shut down; the job then keeps a checkpoint
     and is given back. device_test: the program that tests the device after a failure that it may have caused.
-    gang: the other hosts, connected, where several share the job. tallies: gathers for monitoring.
+    gang: the other hosts, connected, where several share the job. held: the devices' locks, if they were
+    taken before; it releases them. tallies: gathers for monitoring.
     Afterwards the job has ended or is back in the queue, and no process and no spool is left.
     """
 
@@ -82,6 +83,7 @@ class Supervisor:
     draining: Draining = field(default_factory=Draining)
     device_test: Sequence[str] | None = None
     gang: Gang | None = None
+    held: AbstractContextManager[tuple[int, ...]] | None = None
     tallies: Tallies = field(default_factory=Tallies)
     _is_told: bool = field(default=False, init=False)
 
@@ -110,7 +112,7 @@ class Supervisor:
         except SlotTaken as error:
             # The worker takes no further job before the device is free.
             with suppress(OSError):  # No room for it: the next job waits for the device, too.
-                set_aside(mark_of(folder, self.slot_names[0]), str(error))
+                set_aside(folder, self.slot_names, str(error))
             return Outcome(None, Reason.DEVICE_HELD, str(error))
         except JobFailed as error:
             return Outcome(JobStatus.FAILED, error.reason, error.detail)
@@ -135,7 +137,7 @@ class Supervisor:
             called_off=leaving,
         )
         locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
-        with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
+        with self.held or slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
             caches.open(job.spec.environment, leaving)
             outbox = Outbox(self.claim, spool, _checkpoints_kept(job), job.progress, story, self.tallies)
             outbox.put_all(story.begin())
@@ -247,7 +249,7 @@ class Supervisor:
         problem = result_of(test, self.draining.is_set)
         if problem is None:
             return outcome
-        set_aside(mark_of(folder, self.slot_names[0]), problem)
+        set_aside(folder, self.slot_names, problem)
         return Outcome(None, Reason.DEVICE_FAILED, f"{outcome.message} {problem}")
 
     def _stores_metrics(self, job: Job, outcome: Outcome, file: IO[bytes], path: Path) -> bool:

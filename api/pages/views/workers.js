@@ -8,7 +8,8 @@ import { useLive } from "../lib/live.js";
 import { BusyHours, busyShare, percent } from "../parts/busy_hours.js";
 import { Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
 
-const STATES = { ready: "ready", testing: "tests its device", device_failed: "device set aside", incomplete: "waits for its hosts" };
+const STATES = { ready: "ready", testing: "tests its device", device_failed: "device set aside", incomplete: "waits for its hosts",
+  lent: "lent", kept: "keeps its GPU free" };
 
 const LIMIT = 50;
 
@@ -57,7 +58,7 @@ const Worker = ({ worker, usage }) => html`<section class="card">
   <h2>${worker.name}</h2>
   <dl class="facts-list">
     <dt>State</dt><dd>${state(worker)}${worker.problem ? `: ${worker.problem}` : ""}</dd>
-    <dt>Device</dt><dd>${worker.device}${worker.hosts > 1 ? ` on each of ${worker.hosts} hosts` : ""}${worker.memory_bytes ? `, ${bytes(worker.memory_bytes)}` : ""}</dd>
+    <dt>Device</dt><dd>${worker.device}${worker.hosts > 1 ? ` on each of ${worker.hosts} hosts` : ""}${worker.pool ? ` of ${worker.pool}, which jobs share out` : ""}${worker.memory_bytes ? `, ${bytes(worker.memory_bytes)}` : ""}</dd>
     <dt>Host</dt><dd>${worker.host}, process ${worker.pid}</dd>
     ${worker.allocation && html`<dt>Cluster</dt><dd>${allocated(worker.allocation)}</dd>`}
     <dt>Packages</dt><dd>${worker.packages?.join(", ") || "none beyond the needed"}</dd>
@@ -66,13 +67,16 @@ const Worker = ({ worker, usage }) => html`<section class="card">
   </dl>
 </section>`;
 
-/** Of its device, also under workers before it. */
+/** Of its device, also under workers before it, and under jobs of other workers to which it was lent. */
 function Busy({ worker, usage }) {
-  const none = usage.hours.map(() => 0);
-  const seconds = usage.devices.find(({ host, device }) => host === worker.host && device === worker.device)?.seconds || none;
+  const own = usage.devices.filter(({ host, device }) => host === worker.host && (device === worker.device || (worker.pool && isAmong(worker.device, device))));
+  const seconds = usage.hours.map((_, hour) => Math.min(3600, own.reduce((sum, device) => sum + device.seconds[hour], 0)));
   return html`<dt>Last day</dt><dd>busy for ${percent(busyShare(usage, seconds))}
     <${BusyHours} usage=${usage} seconds=${seconds} name=${worker.name} /></dd>`;
 }
+
+/** Whether `gpu:1` is one of `gpu:0,1`. */
+const isAmong = (gpu, gpus) => gpus.startsWith("gpu:") && gpus.slice(4).split(",").includes(gpu.slice(4));
 
 /** A job that it has just taken from the queue is not in `jobs` yet. */
 function state({ state, job, jobs }) {

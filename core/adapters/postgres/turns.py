@@ -22,11 +22,11 @@ from core.adapters.postgres.rows import HELD, find_job, readable
 from core.adapters.postgres.tables import quotas as quotas_table
 from core.adapters.postgres.usage import SHARES
 from core.errors import IllegalTransition, JobNotFound, StaleJob
-from core.jobs.forecast import TurnFacts
 from core.jobs.job import Job
+from core.jobs.pools import GIVEN, Offer, choose_for
 from core.jobs.queue import PRIORITIES
 from core.jobs.slots import kind_of_queue
-from core.jobs.turns import Quota, Quotas, Request, Share, Started, Who, in_order, standings_on
+from core.jobs.turns import Quota, Quotas, Request, Share, Started, TurnFacts, Who, in_order, standings_on
 
 # An arbitrary number of ours: two claims wait for each other. Without sorting, PostgreSQL walks the index
 # `jobs_turns` also where it has no statistics yet.
@@ -88,6 +88,7 @@ class TurnQueries(Session):
         details: Mapping[str, Any] | None = None,
         fits: Callable[[Job], bool] = lambda job: True,
         told: str = "",
+        offer: Offer | None = None,
     ) -> Job | None:
         with self._transaction() as connection:
             connection.execute(_BEGIN)
@@ -96,16 +97,24 @@ class TurnQueries(Session):
             device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in queues) else "cpu"
             if mine := [row.id for row in running if row.token.endswith(f"-{secret}")]:
                 return readable(find_job(connection, mine[0]))  # The answer to an earlier call was lost.
-            standings, _ = standings_on(device, _shares(connection), started, _quotas(connection))
+            shares, quotas = _shares(connection), _quotas(connection)
+            standings, _ = standings_on(device, shares, started, quotas)
+
+            def next_of(heads: Sequence[Request]) -> Request | None:
+                if offer is None:
+                    return next(in_order(heads, standings), None)
+                return choose_for(offer, heads, TurnFacts(heads, started, shares, quotas))
+
             unfit, unfit_of = list[str](), Counter[_Group]()
             heads = _heads(connection, queues, unfit, told)
-            while (first := next(in_order(heads, standings), None)) is not None:
+            while (first := next_of(heads)) is not None:
                 # Without the lock on rows, somebody may cancel or delete the job meanwhile, or claim it by
                 # `save`. These errors are ours: no statement has failed, and the transaction goes on.
                 with suppress(IllegalTransition, StaleJob, JobNotFound):
                     job = find_job(connection, first.id)
                     if isinstance(job, Job) and fits(job):
-                        claimed = job.claimed(worker, now, secret, details)
+                        given = {} if offer is None else {GIVEN: offer.device(first.gpus)}
+                        claimed = job.claimed(worker, now, secret, {**(details or {}), **given})
                         save_job(connection, claimed, lease=lease)
                         return claimed
                 unfit.append(first.id)

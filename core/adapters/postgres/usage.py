@@ -11,6 +11,7 @@ from sqlalchemy import (
     and_,
     bindparam,
     case,
+    cast,
     delete,
     func,
     literal,
@@ -19,12 +20,13 @@ from sqlalchemy import (
     true,
     tuple_,
 )
-from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.dialects.postgresql import JSONB, insert
 
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.rows import HELD, age_s, columns
 from core.adapters.postgres.tables import NOW, UNFINISHED, attempts, jobs, pulse, tallies, usage
 from core.jobs.job import Job
+from core.jobs.pools import GIVEN
 from core.jobs.slots import kind_of_queue
 from core.jobs.status import JobStatus
 from core.jobs.tallies import Tally
@@ -79,7 +81,14 @@ _UNFINISHED = (
     .group_by(jobs.c.project, jobs.c.status)
 )
 _RUNNING = (
-    select(jobs.c.project, jobs.c.owner, jobs.c.queue, attempts.c.worker, attempts.c.started_at)
+    select(
+        jobs.c.project,
+        jobs.c.owner,
+        jobs.c.queue,
+        attempts.c.worker,
+        attempts.c.started_at,
+        func.coalesce(cast(attempts.c.details, JSONB)[GIVEN].astext, "").label("given"),
+    )
     .join(jobs, and_(jobs.c.id == attempts.c.job_id, jobs.c.num_attempts == attempts.c.number))
     .where(jobs.c.status.in_(HELD))
 )
@@ -216,7 +225,12 @@ class UsageQueries(Session):
 def _running(connection: Connection) -> list[RunningAttempt]:
     return [
         RunningAttempt(
-            row.project, row.owner or "", row.worker, row.started_at, kind_of_queue(row.queue).hosts
+            row.project,
+            row.owner or "",
+            row.worker,
+            row.started_at,
+            kind_of_queue(row.queue).hosts,
+            row.given,
         )
         for row in connection.execute(_RUNNING)
     ]

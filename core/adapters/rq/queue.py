@@ -18,6 +18,7 @@ from rq.serializers import JSONSerializer
 
 from core.adapters.redis.errors import reaching_redis
 from core.adapters.timing import Observe, timed, unobserved
+from core.errors import Unavailable
 from core.jobs.queue import MODELS, PREVIEWS
 from core.previews.record import PreviewRequest
 
@@ -204,6 +205,18 @@ def this_worker() -> str | None:
     """The name of the worker whose work-horse this process is; None if it is no work-horse."""
     job = get_current_job()
     return None if job is None else job.worker_name
+
+
+def put_back() -> None:
+    """Send the message of this work-horse once more: its worker has claimed nothing by it.
+
+    If Redis is away, the reconciler sends it.
+    """
+    job = get_current_job()
+    if job is not None and (job_id := job_of(job.id)):
+        attempt = int(job.id.split("_")[1])
+        with suppress(Unavailable):
+            RQQueue(job.connection).enqueue(job_id, attempt, name=str(job.origin), again=True)
 
 
 def job_of(rq_id: str) -> str | None:

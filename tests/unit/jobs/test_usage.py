@@ -51,6 +51,15 @@ def test_an_attempt_counts_the_gpus_of_all_its_hosts() -> None:
     assert RunningAttempt(*WHO, "node1:gpu:0,1:a1b2c3", at(0), hosts=2).num_gpus == 4
 
 
+def test_an_attempt_counts_the_gpus_that_it_was_given_of_a_pool() -> None:
+    worker, given = "node1:gpu:2:a1b2c3", {"gpus": "gpu:2,3"}
+    job = queued(gpus=2).claimed(worker, at(50), details=given).running()
+    (entry,) = entries(job.requeued(Reason.WORKER_LOST, "", at(51)), JobStatus.RUNNING)
+    assert (entry.device, entry.seconds, entry.gpu_seconds) == ("gpu:2,3", 60, 120)
+    attempt = RunningAttempt(*WHO, worker, at(0), given="gpu:2,3")
+    assert (attempt.where, attempt.num_gpus) == (("node1", "gpu:2,3"), 2)
+
+
 def test_a_lost_attempt_is_entered_and_its_job_has_not_ended() -> None:
     (entry,) = entries(running("h:cpu").requeued(Reason.WORKER_LOST, "", at(51)), JobStatus.RUNNING)
     assert (entry.jobs, entry.attempts, entry.seconds, entry.gpu_seconds) == (0, 1, 60, 0)

@@ -14,14 +14,17 @@ from tests.unit.jobs.making import NOON, make_job
 
 
 def worker(device: str, state: WorkerState = "ready", hosts: int = 1, **has: Any) -> WorkerInfo:
+    said = {
+        "problem": f"A test of the device {device} failed." if state == "device_failed" else None,
+        "queues": queue_names(device, hosts),
+    }
     return WorkerInfo(
-        **{"problem": "A test of the device gpu:0 failed." if state == "device_failed" else None, **has},
+        **{**said, **has},
         name=f"host:{device}",
         hosts=hosts,
         host="host",
         pid=1,
         device=device,
-        queues=queue_names(device, hosts),
         state=state,
         started_at=NOON,
         seen_at=NOON,
@@ -65,6 +68,19 @@ def test_devices_that_were_set_aside_are_named_unless_another_worker_fits() -> N
         "The device of each suitable worker was set aside: host:gpu:0: A test of the device gpu:0 failed."
     )
     assert what_it_waits_for(job, [failed, worker("gpu:1", "testing")]) is None
+
+
+def test_a_pool_takes_what_the_gpus_that_work_are_enough_for() -> None:
+    job = make_job(resources={"gpus": 3})
+    pool = [worker(f"gpu:{n}", pool="gpu:0-3", queues=queue_names(f"gpu:{n}", pool=4)) for n in range(3)]
+    failed = worker("gpu:3", "device_failed", pool="gpu:0-3", queues=queue_names("gpu:3", pool=4))
+    assert what_it_waits_for(job, [*pool, failed]) is None
+    assert what_it_waits_for(make_job(resources={"gpus": 4}), [*pool, failed]) == (
+        "No host has 4 GPUs that work. host:gpu:3: A test of the device gpu:3 failed."
+    )
+    assert what_it_waits_for(make_job(resources={"gpus": 8}), pool) == (
+        "No worker has exactly 8 GPUs: the workers here have 4 GPUs of one host."
+    )
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from core.errors import EXIT_STATUS, Misconfigured
 from core.jobs.workers import WorkerInfo
 from core.settings import WorkerSettings
 from tests.unit.worker.environments import environment
-from worker.fleet import Member
+from worker.fleet import Member, main
 
 
 class Fleet:
@@ -185,6 +185,27 @@ def test_a_fleet_that_has_a_gpu_twice_is_refused() -> None:
     assert done.returncode == EXIT_STATUS
     (said,) = misconfigurations(done.stdout)
     assert said.startswith("The fleet gpu:0-1 gpu:1,2 has GPU 1 twice")
+
+
+def test_all_gpus_of_a_machine_are_one_pool(monkeypatch: pytest.MonkeyPatch) -> None:
+    served = list[Member]()
+    monkeypatch.delenv("GAITWAY_POOL", raising=False)
+    monkeypatch.setattr("worker.fleet.visible_gpus", lambda: ["nvidia0", "nvidia1", "nvidia2"])
+    monkeypatch.setattr("worker.fleet.serve", served.extend)
+    main([])
+    main(["gpu:0,1", "gpu:2"])
+    monkeypatch.setenv("GAITWAY_POOL", "gpu:1-2")
+    main([])
+    monkeypatch.setattr("worker.fleet.visible_gpus", lambda: ["nvidia0"])
+    monkeypatch.delenv("GAITWAY_POOL")
+    main([])
+    assert [(member.device, member.pool) for member in served] == [
+        *((f"gpu:{number}", "gpu:0,1,2") for number in range(3)),
+        ("gpu:0,1", None),
+        ("gpu:2", None),
+        *((f"gpu:{number}", "gpu:1,2") for number in (1, 2)),
+        ("gpu:0", None),
+    ]
 
 
 def test_the_fleet_loads_no_numerical_stack() -> None:

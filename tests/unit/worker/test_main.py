@@ -23,7 +23,8 @@ from core.reasons import Reason
 from core.settings import WorkerSettings
 from tests.contract.recording import held, queued_job
 from tests.in_memory import MemoryObjectStore
-from worker.host.locks import take_lock
+from worker.host.device_health import DeviceHealth, mark_of
+from worker.host.locks import slot, slot_names, take_lock
 from worker.main import GaitwayWorker
 from worker.supervision.outcome import Outcome
 from worker.supervision.spool import leave, spool
@@ -177,3 +178,24 @@ def test_a_job_has_its_turn_after_a_preview_and_a_model(
     assert next_queues() == [*(queue.name for queue in jobs), PREVIEWS, MODELS]
     worker.reorder_queues(jobs[0])
     assert next_queues() == list(queue_names("cpu"))
+
+
+def test_a_worker_of_a_pool_asks_for_no_more_gpus_than_are_free(
+    settings: WorkerSettings, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.host.device.visible_gpus", lambda dev=None: ["nvidia0", "nvidia1", "nvidia2"])
+    names = slot_names("gpu:0,1,2", 0)
+    works = DeviceHealth("gpu:0", settings.data_dir, names[:1], None)
+    worker = GaitwayWorker(settings.model_copy(update={"pool": "gpu:0-2"}), "gpu:0", job_store, works)
+    mark_of(settings.data_dir, names[2]).parent.mkdir(parents=True)
+    mark_of(settings.data_dir, names[2]).touch()
+    assert worker._is_complete()
+    asked = [queue.name for queue in worker._ordered_queues]
+    assert "gaitway-gpu2-high" in asked
+    assert "gaitway-gpu3-high" not in asked
+    with slot(settings.data_dir / "locks" / f"{names[0]}.lock", 0.0):
+        assert not worker._is_complete()
+        worker.announce()
+        (found,) = job_store.workers()
+    assert (found.state, found.pool) == ("lent", "gpu:0,1,2")
+    assert found.problem == "Another process of this machine uses its GPU."

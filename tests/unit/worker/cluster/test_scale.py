@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
@@ -22,7 +23,9 @@ def wants(kind: SlotKind, queued: int, age_s: float = 1.0) -> WantedSlots:
     return WantedSlots(kind, queued, 0, age_s)
 
 
-def worker(device: str, allocation: str | None = None, job: str | None = None) -> tuple[WorkerInfo, float]:
+def worker(
+    device: str, allocation: str | None = None, job: str | None = None, **more: Any
+) -> tuple[WorkerInfo, float]:
     where = None if allocation is None else {"scheduler": "slurm", "id": allocation}
     facts = WorkerInfo(
         name=f"{device}-{allocation}",
@@ -34,6 +37,7 @@ def worker(device: str, allocation: str | None = None, job: str | None = None) -
         allocation=where,
         started_at=NOON,
         seen_at=NOON,
+        **more,
     )
     return facts, 1.0
 
@@ -54,6 +58,17 @@ def first(look: Seen, memory: Memory | None = None, limits: Limits = LIMITS) -> 
 
 def test_an_empty_queue_starts_nothing() -> None:
     assert first(seen(workers=[worker("cpu")])) == Decision({}, [], [])
+
+
+def test_the_free_gpus_of_a_pool_are_slots_for_jobs_of_any_size() -> None:
+    """Of its eight GPUs, six are free: for the job of four and two small ones; another of four needs one."""
+    states = ["ready"] * 6 + ["lent"]
+    members = [worker(f"gpu:{n}", state=state, pool="gpu:0-7") for n, state in enumerate(states)]
+    members.append(worker("gpu:7", job="a", pool="gpu:0-7"))
+    waiting = [wants(FOUR, 1), wants(GPU, 2)]
+    assert first(seen(wanted=waiting, workers=members)).starts == {}
+    assert first(seen(wanted=[wants(FOUR, 2), wants(GPU, 2)], workers=members)).starts == {FOUR: 1}
+    assert first(seen(wanted=[wants(FOUR, 1), wants(GPU, 3)], workers=members)).starts == {GPU: 1}
 
 
 def test_each_queued_job_gets_an_allocation_up_to_the_limit_the_oldest_first() -> None:

@@ -110,7 +110,7 @@ def test_a_device_that_fails_is_set_aside_and_tried_again(health: DeviceHealth, 
 
 def test_an_attempt_has_the_device_set_aside_until_it_passes(health: DeviceHealth, tmp_path: Path) -> None:
     until(health.is_fit)
-    set_aside(mark_of(tmp_path, "gpu-nvidia0"), "It crashed.")
+    set_aside(tmp_path, ["gpu-nvidia0"], "It crashed.")
     assert not health.is_fit()
     assert (health.state, health.problem) == ("device_failed", "It crashed.")
     until(health.is_fit)
@@ -142,7 +142,7 @@ def test_a_device_that_another_process_holds_is_set_aside_until_that_has_ended(
     health = DeviceHealth(device, tmp_path, ("held",), command, pauses_s=(0.05,))
     until(health.is_fit)
     with slot(tmp_path / "locks" / "held.lock", 0.0):
-        set_aside(mark_of(tmp_path, "held"), "Another process still uses the device.")
+        set_aside(tmp_path, ["held"], "Another process still uses the device.")
         assert not health.is_fit()
         assert (health.state, health.problem) == ("device_failed", "Another process still uses the device.")
         time.sleep(0.1)

@@ -1,0 +1,27 @@
+"""A real fleet on a machine with four pretended GPUs; its trainings are probes.
+
+`python -m tests.faults.pretended_pool` is `worker.fleet`, and with `member` a worker that it starts.
+"""
+
+import sys
+from functools import partial
+
+from worker.host import device, device_health
+
+device.visible_gpus = lambda dev=device.DEV: [f"nvidia{number}" for number in range(4)]  # type: ignore[misc]
+device_health.command_for = lambda device: ("/bin/true",)  # type: ignore[assignment]
+
+import worker.fleet  # noqa: E402 # After what is pretended.
+import worker.main  # noqa: E402
+import worker.tasks  # noqa: E402
+from tests.faults.bench import PROBE  # noqa: E402
+from worker.supervision.supervisor import Supervisor  # noqa: E402
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["member"]:
+        probe = (sys.executable, str(PROBE), "waits_for_its_job")
+        worker.tasks.Supervisor = partial(Supervisor, command=probe)  # type: ignore[misc,assignment]
+        worker.main.main()
+    else:
+        worker.fleet.COMMAND = [sys.executable, "-m", "tests.faults.pretended_pool", "member"]
+        worker.fleet.main([])

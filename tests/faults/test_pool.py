@@ -1,0 +1,146 @@
+"""A machine's GPUs as one pool: a real fleet on four pretended GPUs, jobs of one, two and four."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+import redis
+
+from core.adapters.postgres.store import PostgresJobStore
+from core.adapters.rq.queue import RQQueue
+from core.devices import gpu_indices
+from core.jobs.job import Job
+from core.jobs.reconciliation import Reconciler
+from core.jobs.status import JobStatus
+from core.jobs.workers import WorkerInfo
+from core.reasons import Reason
+from core.settings import WorkerSettings
+from tests.faults.bench import wait_until
+from tests.faults.outages import submitted
+from tests.unit.worker.environments import environment
+
+
+class Machine:
+    """The fleet, the record, and a reconciler that looks while the test waits.
+
+    A job runs until it is let go. folder: what lets them go.
+    """
+
+    def __init__(
+        self, store: PostgresJobStore, client: redis.Redis, settings: WorkerSettings, folder: Path
+    ) -> None:
+        self.store, self.queue, self._folder = store, RQQueue(client), folder
+        self._reconciler = Reconciler(store, self.queue, settings.lease)
+        folder.mkdir()
+        variables = environment(settings, PROBE_WAITS_FOR=str(folder))
+        self.fleet = subprocess.Popen([sys.executable, "-m", "tests.faults.pretended_pool"], env=variables)
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float = 60) -> None:
+        def looked() -> bool:
+            self._reconciler.run_once()
+            return condition()
+
+        wait_until(looked, timeout_s)
+
+    def submit(self, gpus: int) -> Job:
+        return submitted(self.store, self.queue, resources={"gpus": gpus})
+
+    def let_go(self, *jobs: Job) -> None:
+        for job in jobs:
+            (self._folder / job.id).touch()
+
+    def statuses(self, *jobs: Job) -> list[JobStatus]:
+        return [self.store.get(job.id).status for job in jobs]
+
+    def wait_for(self, status: JobStatus, *jobs: Job) -> None:
+        self.wait(lambda: self.statuses(*jobs) == [status] * len(jobs))
+
+    def num_attempts(self, job: Job) -> int:
+        return len(self.store.get(job.id).attempts)
+
+    def gpus(self, job: Job) -> set[int]:
+        """Those that the job's training sees, once it has said so."""
+        seen = list[str]()
+
+        def has_said() -> bool:
+            seen[:] = (self.store.get(job.id).attempts[-1].device or "probe").split(",")
+            return seen != ["probe"]
+
+        wait_until(has_said)
+        return set(map(int, seen))
+
+    def worker_of(self, gpu: int) -> WorkerInfo:
+        """The newest."""
+        found = [worker for worker in self.store.workers() if gpu_indices(worker.device) == [gpu]]
+        return max(found, key=lambda worker: worker.started_at)
+
+    def states(self) -> list[str]:
+        return sorted(worker.state for worker in self.store.workers())
+
+
+@pytest.fixture
+def machine(
+    settings: WorkerSettings, job_store: PostgresJobStore, redis_client: redis.Redis, tmp_path: Path
+) -> Iterator[Machine]:
+    machine = Machine(job_store, redis_client, settings, tmp_path / "go")
+    try:
+        machine.wait(lambda: machine.states() == ["ready"] * 4)
+        yield machine
+    finally:
+        machine.fleet.send_signal(signal.SIGTERM)
+        machine.fleet.wait(60)
+
+
+def test_small_jobs_do_not_starve_one_of_all_gpus(machine: Machine) -> None:
+    two, one = machine.submit(2), machine.submit(1)
+    machine.wait_for(JobStatus.RUNNING, two, one)
+    machine.wait(lambda: machine.states() == ["lent", "ready", "ready", "ready"])
+    four, small = machine.submit(4), machine.submit(1)
+    # A GPU is free for the small one, which nobody knows to end soon.
+    machine.wait(lambda: "kept" in machine.states())
+    (kept,) = [worker for worker in machine.store.workers() if worker.state == "kept"]
+    assert kept.problem == f"The job {four.id} comes first, and needs 4 GPUs; 1 is free here."
+    machine.let_go(two, one)
+    machine.wait_for(JobStatus.RUNNING, four)
+    assert machine.gpus(four) == {0, 1, 2, 3}
+    assert machine.statuses(small) == [JobStatus.QUEUED]
+    # A worker whose GPU is lent ends, and another one comes: the job has nothing to do with it.
+    machine.wait(lambda: machine.states() == ["lent", "lent", "lent", "ready"])
+    lent = next(worker for worker in machine.store.workers() if worker.state == "lent")
+    assert lent.problem == f"The job {four.id} has its GPU: it runs on gpu:0,1,2,3 of this machine."
+    os.kill(lent.pid, signal.SIGKILL)
+    machine.wait(lambda: lent.pid != machine.worker_of(gpu_indices(lent.device)[0]).pid)
+    machine.let_go(four)
+    machine.wait_for(JobStatus.RUNNING, small)
+    assert [attempt.reason for attempt in machine.store.get(four.id).attempts] == [Reason.COMPLETED]
+
+
+@pytest.mark.extra
+def test_a_job_whose_worker_or_training_is_killed_leaves_no_gpu_behind(machine: Machine) -> None:
+    two, *ones = machine.submit(2), machine.submit(1), machine.submit(1)
+    machine.wait_for(JobStatus.RUNNING, two, *ones)
+    assert sorted(gpu for job in (two, *ones) for gpu in machine.gpus(job)) == [0, 1, 2, 3]
+    # Its worker: the attempt drains, and a worker of the machine goes on with it.
+    owner = machine.store.get(two.id).attempts[-1].worker
+    (pid,) = [worker.pid for worker in machine.store.workers() if worker.name == owner]
+    os.kill(pid, signal.SIGKILL)
+    machine.wait(lambda: machine.num_attempts(two) == 2)
+    # Its training, once it runs.
+    assert len(machine.gpus(two)) == 2
+    (training,) = [
+        process
+        for process in psutil.Process(machine.fleet.pid).children(recursive=True)
+        if any(f"{two.id}.2" in word for word in process.cmdline())
+    ]
+    training.kill()
+    machine.wait(lambda: machine.num_attempts(two) == 3)
+    machine.wait_for(JobStatus.RUNNING, two, *ones)
+    assert sorted(gpu for job in (two, *ones) for gpu in machine.gpus(job)) == [0, 1, 2, 3]
+    four = machine.submit(4)
+    machine.let_go(two, *ones, four)
+    machine.wait_for(JobStatus.SUCCEEDED, two, *ones, four)

@@ -1,0 +1,92 @@
+"""The GPUs that workers of a machine share out: locks in one folder, and what is written beside them."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from core.errors import Misconfigured
+from tests.faults.bench import unused_servers
+from worker.host import device
+from worker.host.device_health import set_aside
+from worker.host.locks import slot
+from worker.host.pool import Membership, Pool, pool_of
+
+LOCKS = {number: f"gpu-boot-nvidia{number}" for number in range(4)}
+
+
+@pytest.fixture
+def pool(tmp_path: Path) -> Iterator[Pool]:
+    (tmp_path / "locks").mkdir()
+    yield Pool(1, LOCKS, tmp_path)
+    assert not list(tmp_path.glob("locks/*"))
+
+
+def never() -> bool:
+    return False
+
+
+def test_a_job_has_its_gpus_until_it_ends_and_the_others_are_free(pool: Pool) -> None:
+    other = Pool(2, LOCKS, pool.data_dir)
+    with pool.turn(never) as turn:
+        offer = turn.offer([])
+        assert offer is not None
+        assert (offer.own, offer.free) == (1, {0, 1, 2, 3})
+        assert other.free() is None  # Who knows what this one takes?
+        kept = turn.keep("gpu:1,2", "019aa3")
+    with kept as descriptors:
+        assert len(descriptors) == 2
+        assert pool.free() == other.free() == {0, 3}
+        assert other.says_who() == "The job 019aa3 has its GPU: it runs on gpu:1,2 of this machine."
+        with other.turn(never) as turn:
+            assert turn.offer([]) is None
+        with Pool(0, LOCKS, pool.data_dir).turn(never) as turn:
+            offer = turn.offer([])
+            assert offer is not None
+            assert offer.free == {0, 3}
+    assert other.free() == {0, 1, 2, 3}
+
+
+def test_a_gpu_that_was_set_aside_or_is_tested_is_not_free(pool: Pool) -> None:
+    set_aside(pool.data_dir, [LOCKS[3]], "It has fallen off the bus.")
+    with slot(pool.lock(0), 0.0):
+        assert pool.free() == {1, 2}
+        assert Pool(0, LOCKS, pool.data_dir).says_who() == "Another process of this machine uses its GPU."
+        with pool.turn(never) as turn:
+            offer = turn.offer([])
+            assert offer is not None
+            assert offer.free == {1, 2}
+
+
+def test_a_worker_waits_while_its_gpu_is_lent_and_while_gpus_are_kept(pool: Pool) -> None:
+    now = 0.0
+    membership = Membership(pool, lambda: now)
+    assert membership.look()
+    with slot(pool.lock(1), 0.0):
+        assert not membership.look()
+        assert (membership.state, membership.free) == ("lent", {0, 2, 3})
+    with slot(pool.lock(2), 0.0):
+        pool.note_kept("The job a comes first.")
+        assert not membership.look()
+        assert (membership.state, membership.problem) == ("kept", "The job a comes first.")
+        now = 9.9
+        assert not membership.look()
+    assert membership.look()  # Another GPU is free.
+    assert membership.problem is None
+    pool.note_kept("The job a comes first.")
+    assert not membership.look()
+    now = 20.0
+    assert membership.look()
+
+
+def test_a_pool_is_of_workers_with_one_gpu_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device, "visible_gpus", lambda dev=None: ["nvidia0", "nvidia1", "nvidia2"])
+    settings = unused_servers(tmp_path)
+    shared = settings.model_copy(update={"pool": "gpu:0-1"})
+    assert pool_of(settings, "gpu:0") is None
+    pool = pool_of(shared, "gpu:1")
+    assert pool is not None
+    assert (pool.device, pool.own) == ("gpu:0,1", 1)
+    for wrong in ("gpu:2", "gpu:0,1", "cpu"):
+        with pytest.raises(Misconfigured, match="GAITWAY_POOL=gpu:0-1 is for workers with one of these GPUs"):
+            pool_of(shared, wrong)
