@@ -17,6 +17,7 @@ from core.jobs.patch import JobPatch
 from core.jobs.pools import Offer
 from core.jobs.retention import RetentionStore
 from core.jobs.slots import QueueCount
+from core.jobs.sorting import Sort
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
 from core.jobs.turns import Quotas, TurnFacts
@@ -93,10 +94,16 @@ class Whose(Stored):
 ANYBODYS = Whose()
 
 
+# Instead of a sweep's id.
+NO_SWEEP, FOLDED = "none", "folded"
+
+
 class JobQuery(Stored):
     """The filters of a listing; None matches any job. labels: every one must match.
 
-    search: a part of the name, of the note or of the environment's id, in any case.
+    search: a part of the name, of the note or of the environment's id, in any case. sweep: the id of the one
+    whose trials are wanted; NO_SWEEP: no trials; FOLDED: of its trials only the first in the list's order.
+    sort: None: newest first, one's own before those of others.
     """
 
     status: JobStatus | None = None
@@ -105,6 +112,8 @@ class JobQuery(Stored):
     name: str | None = None
     search: str | None = None
     labels: dict[str, str] = Field(default_factory=dict)
+    sweep: str | None = None
+    sort: Sort | None = None
     whose: Whose = ANYBODYS
 
 
@@ -122,7 +131,7 @@ class Idempotency:
 
 @dataclass(frozen=True)
 class JobPage:
-    """Some jobs, newest first, and the cursor of the next page; None at the end."""
+    """Some jobs in the order of the list, and the cursor of the next page; None at the end."""
 
     jobs: Sequence[Job | UnreadableJob]
     next_cursor: str | None
@@ -284,7 +293,9 @@ class JobStore(ModelStore, NewsStore, RetentionStore, UsageStore, WorkerStore, P
     def list(
         self, query: JobQuery, *, cursor: str | None = None, limit: int = 50, brief: bool = False
     ) -> JobPage:
-        """Some of the jobs that match, newest first. cursor: the `next_cursor` of an earlier page.
+        """Some of the jobs that match, in the order that the query wants. Raises Rejected for a wrong cursor.
+
+        cursor: the `next_cursor` of an earlier page. Sorted lists are of the newest 100,000 jobs.
 
         A page of long records has fewer than `limit`. brief: each has only its newest attempts, without
         `details`, and the newest of its files of each role, without long `metadata`.

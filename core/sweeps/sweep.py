@@ -163,12 +163,17 @@ class SweepStore(JobStore, Protocol):
     def list_sweeps(
         self,
         *,
+        ids: Collection[str] | None = None,
         status: SweepStatus | None = None,
         whose: Whose = ANYBODYS,
         cursor: str | None = None,
         limit: int = 50,
     ) -> SweepPage:
-        """Newest first; after the own ones those of others, where `whose` says so."""
+        """Newest first; after the own ones those of others, where `whose` says so. ids: only of these."""
+        ...
+
+    def sweeps_of(self, job_ids: Collection[str]) -> Mapping[str, str]:
+        """The id of the sweep by the ids of those of these jobs that are trials."""
         ...
 
     def active_marks(self) -> Mapping[str, SweepMark]:

@@ -24,7 +24,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.exc import DataError, IntegrityError
 
 from core.accounts.principal import Ownership
-from core.adapters.postgres import feeds, leases, listing, news, rows, usage
+from core.adapters.postgres import feeds, leases, listing, news, rows, sorting, usage
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.tables import (
     NOW,
@@ -164,8 +164,11 @@ class JobQueries(Session):
         self, query: JobQuery, *, cursor: str | None = None, limit: int = 50, brief: bool = False
     ) -> JobPage:
         with self._statements() as connection:
-            newest = partial(listing.newest, connection, query)
-            found, next_cursor = listing.own_first(newest, query.whose, cursor, limit)
+            if query.sort is not None:
+                found, next_cursor = sorting.page(connection, query, query.sort, cursor, limit)
+            else:
+                newest = partial(listing.newest, connection, query)
+                found, next_cursor = listing.own_first(newest, query.whose, cursor, limit)
             page = rows.jobs_of_rows(connection, found, brief=brief)
         return JobPage(page, next_cursor)
 

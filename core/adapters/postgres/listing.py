@@ -10,12 +10,23 @@ from datetime import UTC, datetime, timedelta
 from enum import Enum
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, Subquery, Table, func, or_, select, union_all
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    FromClause,
+    Row,
+    Select,
+    exists,
+    func,
+    or_,
+    select,
+    union_all,
+)
 
-from core.adapters.postgres.tables import jobs
+from core.adapters.postgres.tables import jobs, trials
 from core.errors import JobNotFound, Problem, Rejected
 from core.jobs.job import check_job_id
-from core.jobs.store import JobQuery, Whose
+from core.jobs.store import FOLDED, NO_SWEEP, JobQuery, Whose
 from core.jobs.workers import WORKER_NAME
 from core.user_models.record import ModelRecord
 
@@ -32,7 +43,7 @@ def check_cursor(cursor: str) -> str:
     try:
         return check_job_id(cursor)
     except JobNotFound:
-        raise _refusal() from None
+        raise refusal() from None
 
 
 def model_cursor(record: ModelRecord) -> str:
@@ -44,14 +55,14 @@ def check_model_cursor(cursor: str) -> tuple[datetime, str]:
     """The moment and the id of a cursor made by `model_cursor`. Raises Rejected."""
     found = _MODEL.fullmatch(cursor)
     if found is None:
-        raise _refusal()
+        raise refusal()
     return _EPOCH + timedelta(microseconds=int(found[1])), found[2]
 
 
 def check_worker_cursor(cursor: str) -> str:
     """The name of the last worker of a page; raises Rejected if no worker can have this name."""
     if re.fullmatch(WORKER_NAME, cursor) is None:
-        raise _refusal()
+        raise refusal()
     return cursor
 
 
@@ -110,7 +121,7 @@ def _page(
     return page, page[-1].id if has_more(found, len(page)) else None
 
 
-def of(table: Table | Subquery, whose: Whose, part: Part) -> list[ColumnElement[bool]]:
+def of(table: FromClause, whose: Whose, part: Part) -> list[ColumnElement[bool]]:
     """The conditions of a part of what `whose` asks for."""
     found: list[ColumnElement[bool]] = []
     if whose.projects is not None:
@@ -123,7 +134,8 @@ def of(table: Table | Subquery, whose: Whose, part: Part) -> list[ColumnElement[
     return found
 
 
-def _refusal() -> Rejected:
+def refusal() -> Rejected:
+    """Of a cursor."""
     sentence = "The cursor is not one that this listing gave; leave it out to begin with the first page."
     return Rejected(sentence, [Problem("/cursor", sentence)])
 
@@ -138,18 +150,18 @@ def newest(
     planner cannot know: it would walk through all jobs. So the newest jobs are tried first. If too few of
     them match, matches are rare, and all of them are collected from the indexes before they are sorted.
     """
-    conditions, whose = _conditions(query, jobs), of(jobs, query.whose, part)
+    conditions, whose = _filters(query, jobs), of(jobs, query.whose, part)
     has_owner = part is Part.OWN or query.whose.owner is not None
-    if not conditions and query.whose.projects and not has_owner:
+    if not conditions and query.sweep is None and query.whose.projects and not has_owner:
         return connection.execute(_of_projects(query.whose, part, before, limit)).all()
     if (conditions and len(conditions) + len(whose) > 1) or query.labels or query.search:
         found = connection.execute(_among_the_newest(query, part, before, limit)).all()
         if has_more(found, limit - 1) or not _has_more(connection, before):
             return found
         return connection.execute(_collected(query, part, before, limit)).all()
-    matches = [*conditions, *whose, *below(jobs, before)]
-    wanted = select(jobs).where(*matches).order_by(jobs.c.id.desc()).limit(limit)
-    return connection.execute(by_bytes(wanted, _size(jobs), "id")).all()
+    found = [*matches(query, jobs, part), *below(jobs, before)]
+    wanted = select(jobs).where(*found).order_by(jobs.c.id.desc()).limit(limit)
+    return connection.execute(by_bytes(wanted, size_of(jobs), "id")).all()
 
 
 def _of_projects(whose: Whose, part: Part, before: str | None, limit: int) -> Any:
@@ -163,18 +175,18 @@ def _of_projects(whose: Whose, part: Part, before: str | None, limit: int) -> An
         for project in whose.projects or ()
     ]
     found = union_all(*each).subquery("of_projects")
-    return by_bytes(select(found).order_by(found.c.id.desc()).limit(limit), _size(found), "id")
+    return by_bytes(select(found).order_by(found.c.id.desc()).limit(limit), size_of(found), "id")
 
 
-def _size(table: Table | Subquery) -> ColumnElement[int]:
+def size_of(table: FromClause) -> ColumnElement[int]:
+    """The bytes of the long columns of a job's row."""
     return func.octet_length(table.c.spec) + func.coalesce(func.octet_length(table.c.progress), 0)
 
 
 def _among_the_newest(query: JobQuery, part: Part, before: str | None, limit: int) -> Any:
     near = select(jobs).where(*below(jobs, before)).order_by(jobs.c.id.desc()).limit(_NEAR).subquery("near")
-    matches = [*_conditions(query, near), *of(near, query.whose, part)]
-    wanted = select(near).where(*matches).order_by(near.c.id.desc()).limit(limit)
-    return by_bytes(wanted, _size(near), "id")
+    wanted = select(near).where(*matches(query, near, part)).order_by(near.c.id.desc()).limit(limit)
+    return by_bytes(wanted, size_of(near), "id")
 
 
 def _has_more(connection: Connection, before: str | None) -> bool:
@@ -184,14 +196,36 @@ def _has_more(connection: Connection, before: str | None) -> bool:
 
 
 def _collected(query: JobQuery, part: Part, before: str | None, limit: int) -> Any:
-    conditions = [*_conditions(query, jobs), *of(jobs, query.whose, part), *below(jobs, before)]
-    matches = select(jobs.c.id).where(*conditions).cte("matches")
-    matches = matches.prefix_with("MATERIALIZED")
-    wanted = select(jobs).join(matches, jobs.c.id == matches.c.id).order_by(jobs.c.id.desc()).limit(limit)
-    return by_bytes(wanted, _size(jobs), "id")
+    conditions = [*matches(query, jobs, part), *below(jobs, before)]
+    found = select(jobs.c.id).where(*conditions).cte("found").prefix_with("MATERIALIZED")
+    wanted = select(jobs).join(found, jobs.c.id == found.c.id).order_by(jobs.c.id.desc()).limit(limit)
+    return by_bytes(wanted, size_of(jobs), "id")
 
 
-def _conditions(query: JobQuery, table: Table | Subquery) -> list[ColumnElement[bool]]:
+def matches(query: JobQuery, table: FromClause, part: Part) -> list[ColumnElement[bool]]:
+    """All conditions of a part of the listing."""
+    wanted = [*_filters(query, table), *of(table, query.whose, part)]
+    if query.sweep == NO_SWEEP:
+        wanted.append(~exists().where(trials.c.job_id == table.c.id))
+    if query.sweep == FOLDED and query.sort is None:
+        wanted.append(table.c.id == func.coalesce(_newest_of_its_sweep(query, table, part), table.c.id))
+    return wanted
+
+
+def _newest_of_its_sweep(query: JobQuery, table: FromClause, part: Part) -> ColumnElement[Any]:
+    """The newest job that matches of the sweep that a row's job is a trial of; null for another job."""
+    mine, others, sibling = trials.alias("mine"), trials.alias("others"), jobs.alias("sibling")
+    wanted = select(others.c.job_id).where(
+        mine.c.job_id == table.c.id,
+        others.c.sweep_id == mine.c.sweep_id,
+        sibling.c.id == others.c.job_id,
+        *_filters(query, sibling),
+        *of(sibling, query.whose, part),
+    )
+    return wanted.order_by(others.c.job_id.desc()).limit(1).correlate(table).scalar_subquery()
+
+
+def _filters(query: JobQuery, table: FromClause) -> list[ColumnElement[bool]]:
     wanted = [(name, getattr(query, name)) for name in _COLUMNS]
     found: list[ColumnElement[bool]] = [table.c[name] == value for name, value in wanted if value is not None]
     if query.labels:
@@ -199,10 +233,12 @@ def _conditions(query: JobQuery, table: Table | Subquery) -> list[ColumnElement[
     if query.search:
         texts = (table.c.name, table.c.note, table.c.environment)
         found.append(or_(*(text.icontains(query.search, autoescape=True) for text in texts)))
+    if query.sweep not in (None, NO_SWEEP, FOLDED):
+        found.append(table.c.id.in_(select(trials.c.job_id).where(trials.c.sweep_id == query.sweep)))
     return found
 
 
-def below(table: Table, before: str | None) -> list[ColumnElement[bool]]:
+def below(table: FromClause, before: str | None) -> list[ColumnElement[bool]]:
     return [] if before is None else [table.c.id < before]
 
 

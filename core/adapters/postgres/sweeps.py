@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 import structlog
 from pydantic_core import from_json
-from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, literal, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, any_, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
 from core.accounts.principal import Ownership
@@ -28,6 +28,7 @@ log = structlog.get_logger()
 
 _RESULTS = {"importance", "importance_note", "num_judged"}
 _ACTIVE = ("running", "cancelling")
+_SWEEPS_OF = select(trials.c.job_id, trials.c.sweep_id).where(trials.c.job_id == any_(rows.IDS))
 
 
 class SweepQueries(Session):
@@ -79,12 +80,15 @@ class SweepQueries(Session):
     def list_sweeps(
         self,
         *,
+        ids: Collection[str] | None = None,
         status: SweepStatus | None = None,
         whose: Whose = ANYBODYS,
         cursor: str | None = None,
         limit: int = 50,
     ) -> SweepPage:
         conditions = [] if status is None else [sweeps.c.status == status.value]
+        if ids is not None:
+            conditions.append(sweeps.c.id.in_(ids))
         trial_bytes = select(func.coalesce(func.sum(func.octet_length(trials.c.document)), 0)).where(
             trials.c.sweep_id == sweeps.c.id
         )
@@ -98,6 +102,13 @@ class SweepQueries(Session):
 
             found, next_cursor = listing.own_first(newest, whose, cursor, limit)
         return SweepPage([_sweep(row) for row in found], next_cursor)
+
+    def sweeps_of(self, job_ids: Collection[str]) -> Mapping[str, str]:
+        if not job_ids:
+            return {}
+        with self._statements() as connection:
+            found = connection.execute(_SWEEPS_OF, {"ids": [*job_ids]}).all()
+        return {row.job_id: row.sweep_id for row in found}
 
     def active_marks(self) -> Mapping[str, SweepMark]:
         # Only those trials are read that have not ended, by the index `trials_going`.

@@ -39,6 +39,7 @@ from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
+    Computed,
     Double,
     ForeignKey,
     ForeignKeyConstraint,
@@ -64,6 +65,20 @@ def _moment(name: str, *, nullable: bool = True) -> Column[Any]:
     return Column(name, TIMESTAMP(timezone=True), nullable=nullable)
 
 
+def _of_progress(name: str, value: str) -> Column[Any]:
+    """A number of `progress`, computed as it is written: reading the JSON of 10,000 jobs takes 0.4 s."""
+    # In PostgreSQL's own form, so that a comparison with the database's finds them equal.
+    is_whole = r"progress IS JSON OBJECT AND strpos(progress, '\u0000'::text) = 0"
+    number = f"CASE WHEN {is_whole} THEN {value} ELSE NULL::double precision END"
+    return Column(name, Double, Computed(number, persisted=True))
+
+
+def _number(path: str) -> str:
+    return f"(progress::json {path}::text)::double precision"
+
+
+_METRIC = "-> 'metrics'::text ->> '{}/episode_reward'"
+
 jobs = Table(
     "jobs",
     metadata,
@@ -87,6 +102,12 @@ jobs = Table(
     _moment("finished_at"),
     _moment("not_before"),
     Column("progress", Text),
+    _of_progress("progress_step", _number("->> 'step'")),
+    _of_progress("progress_speed", _number("->> 'steps_per_second'")),
+    _of_progress(
+        "progress_return",
+        f"COALESCE({_number(_METRIC.format('eval'))}, {_number(_METRIC.format('training'))})",
+    ),
     Column("imported_from", Text),
     # What retention rules have removed of its files.
     Column("removed", Text),
@@ -282,6 +303,7 @@ trials = Table(
     Column("document", Text, nullable=False),
 )
 Index("trials_by_job", trials.c.job_id)
+Index("trials_jobs", trials.c.sweep_id, trials.c.job_id)
 Index("trials_going", trials.c.sweep_id, postgresql_where=text("outcome IS NULL"))
 
 usage = Table(

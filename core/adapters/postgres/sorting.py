@@ -1,0 +1,162 @@
+"""Lists of jobs that are sorted by a column.
+
+All jobs that match are looked at for each page, since a column may change with every report of a job, and an
+index on it would make each report slower. So only the newest hundred thousand are.
+"""
+
+import json
+import math
+from base64 import urlsafe_b64decode, urlsafe_b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Double,
+    Row,
+    Text,
+    and_,
+    func,
+    literal,
+    or_,
+    select,
+    true,
+)
+from sqlalchemy import cast as cast_to
+
+from core.adapters.postgres import listing
+from core.adapters.postgres.tables import NOW, attempts, jobs, trials
+from core.errors import JobNotFound
+from core.jobs.job import check_job_id
+from core.jobs.sorting import Sort
+from core.jobs.status import JobStatus
+from core.jobs.store import FOLDED, JobQuery
+
+_MOST = 100_000
+_PREFIX = "sorted-"
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Behind which job a page begins. value: of that job's column. at: when the first page was read.
+
+    Seconds since 1970: how long a running job has run is the same on all pages.
+    """
+
+    sort: Sort
+    value: str | float | None
+    job: str
+    at: float
+
+    def cursor(self) -> str:
+        parts = [self.sort.column, self.sort.descending, self.value, self.job, self.at]
+        text = json.dumps(parts, ensure_ascii=False, separators=(",", ":"))
+        return _PREFIX + urlsafe_b64encode(text.encode()).decode().rstrip("=")
+
+
+def page(
+    connection: Connection, query: JobQuery, sort: Sort, cursor: str | None, limit: int
+) -> tuple[Sequence[Row[Any]], str | None]:
+    """A page of at most `limit` rows, and the cursor of the next one. Raises Rejected for a wrong cursor.
+
+    A job whose value changes between two pages may be missed, or come twice.
+    """
+    place = None if cursor is None else _place(cursor, sort)
+    at = connection.execute(select(_epoch(NOW))).scalar_one() if place is None else place.at
+    found = connection.execute(_sorted(query, sort, at, place, limit + 1)).all()
+    rows = found[:limit]
+    if not listing.has_more(found, len(rows)):
+        return rows, None
+    return rows, _Place(sort, rows[-1].sorted_by, rows[-1].id, at).cursor()
+
+
+def _place(cursor: str, sort: Sort) -> _Place:
+    """Raises Rejected."""
+    text = cursor.removeprefix(_PREFIX)
+    try:
+        column, descending, value, job, at = json.loads(urlsafe_b64decode(text + "=" * (-len(text) % 4)))
+        found = _Place(Sort(column=column, descending=descending), value, check_job_id(job), float(at))
+        # Its text has to be one that PostgreSQL takes.
+        is_text = isinstance(value, str) and b"\0" not in value.encode()
+        is_number = isinstance(value, float) and math.isfinite(value)
+        is_value = value is None or (is_text if _is_text(sort) else is_number)
+    except (ValueError, TypeError, OverflowError, JobNotFound):
+        raise listing.refusal() from None
+    if text == cursor or found.sort != sort or not is_value or not math.isfinite(found.at):
+        raise listing.refusal()
+    return found
+
+
+def _is_text(sort: Sort) -> bool:
+    return isinstance(_key(sort, 0.0).type, Text)
+
+
+def _key(sort: Sort, at: float) -> ColumnElement[Any]:
+    """The column as text or a number; null for a job that has none. at: until when running jobs have run."""
+    if sort.label is not None:
+        return cast_to(jobs.c.labels[sort.label].astext, Text)
+    match sort.column:
+        case "created" | "started" | "finished":
+            return _epoch(jobs.c[f"{sort.column}_at"])
+        case "name":
+            return func.lower(jobs.c.name, type_=Text)
+        case "status":
+            place = func.array_position(literal([status.value for status in JobStatus]), jobs.c.status)
+            return cast_to(place, Double)
+        case "duration":
+            return func.coalesce(_epoch(jobs.c.finished_at), literal(at, Double)) - _epoch(jobs.c.started_at)
+        case "steps" | "steps_per_second" | "return":
+            names = {"steps": "step", "steps_per_second": "speed", "return": "return"}
+            return jobs.c[f"progress_{names[sort.column]}"]
+        case "attempts":
+            return cast_to(jobs.c.num_attempts, Double)
+        case "device" | "engine":
+            return _newest(sort.column)
+        case _:
+            return cast_to(jobs.c[sort.column], Text)
+
+
+def _epoch(moment: ColumnElement[Any]) -> ColumnElement[Any]:
+    return cast_to(func.extract("epoch", moment), Double)
+
+
+def _newest(column: str) -> ColumnElement[Any]:
+    """Of the newest attempt that has one."""
+    known = select(attempts.c[column]).where(attempts.c.job_id == jobs.c.id, attempts.c[column].isnot(None))
+    return known.order_by(attempts.c.number.desc()).limit(1).correlate(jobs).scalar_subquery()
+
+
+def _sorted(query: JobQuery, sort: Sort, at: float, place: _Place | None, limit: int) -> Any:
+    oldest = select(jobs.c.id).order_by(jobs.c.id.desc()).offset(_MOST).limit(1).scalar_subquery()
+    matches = [*listing.matches(query, jobs, listing.Part.ALL), jobs.c.id > func.coalesce(oldest, "")]
+    key = _key(sort, at)
+    among = select(jobs.c.id, key.label("sorted_by")).where(*matches)
+    if query.sweep == FOLDED:
+        # Of each sweep the first in this order.
+        whole = func.coalesce(trials.c.sweep_id, jobs.c.id)
+        order = func.row_number().over(partition_by=whole, order_by=_order(key, jobs.c.id, sort))
+        among = among.outerjoin(trials, trials.c.job_id == jobs.c.id).add_columns(order.label("of_sweep"))
+    keyed = among.subquery("keyed")
+    is_shown = keyed.c.of_sweep == 1 if query.sweep == FOLDED else true()
+    behind = true() if place is None else _behind(keyed.c.sorted_by, keyed.c.id, place)
+    order = _order(keyed.c.sorted_by, keyed.c.id, sort)
+    top = select(keyed.c.id, keyed.c.sorted_by, func.row_number().over(order_by=order).label("above"))
+    top = top.where(is_shown, behind).order_by(*order).limit(limit).subquery("top")
+    wanted = select(jobs, top.c.sorted_by, (-top.c.above).label("below")).join(top, top.c.id == jobs.c.id)
+    return listing.by_bytes(wanted, listing.size_of(jobs), "below")
+
+
+def _order(key: ColumnElement[Any], job: ColumnElement[Any], sort: Sort) -> tuple[ColumnElement[Any], ...]:
+    """Of equal ones the newest first, either way."""
+    way = key.desc() if sort.descending else key.asc()
+    return way.nulls_last(), job.desc()
+
+
+def _behind(key: ColumnElement[Any], job: ColumnElement[Any], place: _Place) -> ColumnElement[bool]:
+    older = job < place.job
+    if place.value is None:
+        return and_(key.is_(None), older)
+    beyond = key < place.value if place.sort.descending else key > place.value
+    return or_(beyond, and_(key == place.value, older), key.is_(None))
