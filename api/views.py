@@ -90,10 +90,11 @@ def job_view(
     job: Job | UnreadableJob,
     workers: Sequence[WorkerInfo] | None = None,
     turns: Mapping[str, TurnView] | None = None,
+    sweep: str | None = None,
 ) -> JobView:
-    """workers, turns: the present ones, for a document that says what the job waits for."""
+    """workers, turns: the present ones, for a document that says what the job waits for. sweep: its id."""
     if isinstance(job, UnreadableJob):
-        return _unreadable_view(job)
+        return _unreadable_view(job, sweep)
     progress = job.progress if job.status.is_held else job.progress.model_copy(update={"phase": None})
     return JobView(
         id=job.id,
@@ -112,6 +113,7 @@ def job_view(
         turn=None if turns is None or job.status != JobStatus.QUEUED else turns.get(job.id),
         owner=job.owner,
         project=job.project,
+        sweep=sweep,
         imported_from=None if job.imported_from is None else OriginView.model_validate(job.imported_from),
         removed=tuple(
             RemovedView(rule=one.rule, at=one.at, files=one.files, bytes=one.size) for one in job.removed
@@ -125,8 +127,9 @@ def job_view(
     )
 
 
-def _unreadable_view(job: UnreadableJob) -> JobView:
+def _unreadable_view(job: UnreadableJob, sweep: str | None) -> JobView:
     return JobView(
+        sweep=sweep,
         **job.model_dump(
             include={"id", "kind", "name", "labels", "note", "status", "spec", "owner", "project"}
         ),

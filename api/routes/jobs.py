@@ -3,7 +3,7 @@
 import re
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field
@@ -31,9 +31,10 @@ from core.jobs.ending import cancel, delete
 from core.jobs.job import JOB_ID, Job, UnreadableJob
 from core.jobs.patch import JOB_PATCH
 from core.jobs.resolved import filled_in
+from core.jobs.sorting import COLUMNS, LABEL, sort_by
 from core.jobs.spec import JobKind, Text
 from core.jobs.status import JobStatus
-from core.jobs.store import JobQuery
+from core.jobs.store import FOLDED, NO_SWEEP, JobQuery
 from core.jobs.submission import check_notify, new_job, submit
 from core.jobs.workers import WorkerInfo
 from gaitway.schema import JobView
@@ -52,9 +53,31 @@ _LABEL = r"([A-Za-z0-9_.-]{1,63})[:=]([^\x00]{0,200})"
 
 # These patterns only document the format; the checks elsewhere give better messages.
 Label = Annotated[str, Field(json_schema_extra={"pattern": f"^{_LABEL}$"})]
-Cursor = Annotated[
-    str, Field(max_length=100, json_schema_extra={"pattern": f"^((others-)?{JOB_ID}|others)$"})
+_CURSOR = f"(others-)?{JOB_ID}|others"
+Cursor = Annotated[str, Field(max_length=100, json_schema_extra={"pattern": f"^({_CURSOR})$"})]
+# That of a sorted list has the last job's value.
+SortedCursor = Annotated[
+    str, Field(max_length=2000, json_schema_extra={"pattern": f"^({_CURSOR}|sorted-[A-Za-z0-9_-]+)$"})
 ]
+SortColumn = Annotated[
+    str,
+    Field(
+        max_length=80,
+        json_schema_extra={"pattern": f"^({'|'.join(COLUMNS)}|{LABEL}[A-Za-z0-9_.-]{{1,63}})$"},
+    ),
+]
+SweepChoice = Annotated[
+    str, Field(max_length=100, json_schema_extra={"pattern": f"^({NO_SWEEP}|{FOLDED}|{JOB_ID})$"})
+]
+_SORT = (
+    "A column: "
+    + "; ".join(f"`{name}`, {what}" for name, what in COLUMNS.items())
+    + "; or `label:KEY`. What has no value comes last."
+)
+_SWEEP = (
+    f"A sweep's id: its trials alone. `{NO_SWEEP}`: no trials. `{FOLDED}`: of the trials of a sweep that "
+    "match only the first in this list, whose `sweep` stands for all of them."
+)
 
 
 class JobFilters(QueryParameters):
@@ -74,6 +97,7 @@ class JobFilters(QueryParameters):
     label: list[Label] = Field([], max_length=64, description="`key:value` or `key=value`; repeatable.")
 
     def query(self, principal: Principal) -> JobQuery:
+        """Raises Rejected."""
         return JobQuery(
             whose=whose(principal, self.owner, self.project),
             status=self.status,
@@ -86,10 +110,23 @@ class JobFilters(QueryParameters):
 
 
 class JobListing(JobFilters):
-    """A page of those that match."""
+    """A page of those that match, in some order."""
 
-    cursor: Cursor | None = Field(None, description="The `next` of an earlier page.")
+    sweep: SweepChoice | None = Field(None, description=_SWEEP)
+    sort: SortColumn | None = Field(None, description=_SORT, examples=["return"])
+    order: Literal["asc", "desc"] | None = Field(
+        None, description="Of `sort`; `desc`, the greatest first, by default."
+    )
+    cursor: SortedCursor | None = Field(None, description="The `next` of an earlier page.")
     limit: int = Field(50, ge=1, le=200)
+
+    def query(self, principal: Principal) -> JobQuery:
+        if self.order is not None and self.sort is None:
+            sentence = "`order` is that of `sort`: say by which column."
+            raise Rejected(sentence, [Problem("/order", sentence)])
+        sweep = None if self.sweep is None else _sweep(self.sweep)
+        sort = None if self.sort is None else sort_by(self.sort, descending=self.order != "asc")
+        return super().query(principal).model_copy(update={"sweep": sweep, "sort": sort})
 
 
 @router.post(
@@ -153,6 +190,9 @@ def list_jobs(
 ) -> Response:
     """Jobs, newest first; with accounts your own, and then those of others in your projects.
 
+    With `sort`, all of them in the order of a column. Sorted lists are of the newest 100,000 jobs, and a job
+    whose value changes while you turn pages may be missing, or come twice.
+
     Each has its newest ten attempts, without `details` and with messages of up to 1,000 characters, and its
     newest ten files of each role, without `metadata` of more than 1,000 bytes: `GET /jobs/{job_id}` has all.
     A page whose jobs are very long has fewer than `limit`.
@@ -167,7 +207,8 @@ def list_jobs(
         page = service.store.list(query, cursor=listed.cursor, limit=listed.limit, brief=True)
         workers = _workers(page.jobs, service)
         turns = None if workers is None else service.turns.now(workers)
-        views = [job_view(job, workers, turns) for job in page.jobs]
+        sweeps = service.store.sweeps_of([job.id for job in page.jobs])
+        views = [job_view(job, workers, turns, sweeps.get(job.id)) for job in page.jobs]
         found = Listing[JobView](items=views, next=page.next_cursor).model_dump_json().encode()
         service.lists.keep(question, found)
     return Response(found, media_type="application/json")
@@ -178,7 +219,8 @@ def read_job(job_id: JobId, service: ServiceDep) -> Response:
     """A job as it is now."""
     job = service.store.find(job_id)
     workers = _workers([job], service)
-    return answer(job_view(job, workers, None if workers is None else service.turns.now(workers)))
+    turns = None if workers is None else service.turns.now(workers)
+    return answer(job_view(job, workers, turns, service.store.sweeps_of([job.id]).get(job.id)))
 
 
 @router.patch(
@@ -246,6 +288,13 @@ def _workers(jobs: Sequence[Job | UnreadableJob], service: Service) -> Sequence[
     """The present workers, if one of these jobs is queued."""
     is_waiting = any(job.status == JobStatus.QUEUED for job in jobs)
     return service.store.workers() if is_waiting else None
+
+
+def _sweep(text: str) -> str:
+    if text in (NO_SWEEP, FOLDED) or re.fullmatch(JOB_ID, text):
+        return text
+    sentence = f"`sweep` is a sweep's id, `{NO_SWEEP}` or `{FOLDED}`, not {text[:80]!r}."
+    raise Rejected(sentence, [Problem("/sweep", sentence)])
 
 
 def _label(text: str) -> tuple[str, str]:

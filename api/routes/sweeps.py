@@ -23,7 +23,7 @@ from core.errors import (
     SweepNotFound,
     TooManySweeps,
 )
-from core.jobs.job import Job, UnreadableJob, check_job_id
+from core.jobs.job import JOB_ID, Job, UnreadableJob, check_job_id
 from core.jobs.spec import Text
 from core.sweeps.actions import cancel_sweep, delete_sweep, resume_sweep, submit_sweep
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
@@ -50,6 +50,9 @@ def _body(schema: str, examples: Mapping[str, Any]) -> dict[str, Any]:
 class SweepFilters(QueryParameters):
     """Filters of a listing."""
 
+    id: list[Annotated[str, Field(pattern=f"^{JOB_ID}$")]] = Field(
+        [], max_length=200, description="Only these; repeatable.", examples=[[]]
+    )
     status: SweepStatus | None = None
     owner: Text | None = Field(None, description="A user's name.", examples=[None])
     project: Text | None = Field(None, description="One of your projects.", examples=[None])
@@ -92,6 +95,7 @@ def list_sweeps(
 ) -> Response:
     """Sweeps, newest first; with accounts your own, and then those of others in your projects."""
     page = service.store.list_sweeps(
+        ids=listed.id or None,
         status=listed.status,
         whose=whose(principal, listed.owner, listed.project),
         cursor=listed.cursor,

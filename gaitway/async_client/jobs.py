@@ -72,7 +72,8 @@ class AsyncJobs(AsyncFollowing):
 
         Each has its newest ten attempts and files of each role; `get` has all.
         filters: status, kind, environment, name, search, owner, project, and labels (a dict, every one must
-        match).
+        match). sweep: a sweep's id, `"none"`, or `"folded"` for one of its trials. sort: another order, by a
+        column such as `"return"` or `"label:arm"`, with order `"desc"` (the default) or `"asc"`.
         """
         return self._all("/jobs", AsyncJob, limit, _query(filters))
 

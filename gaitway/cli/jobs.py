@@ -10,10 +10,11 @@ from rich.table import Table
 from rich.text import Text
 
 from gaitway.battery import shown_battery
-from gaitway.cli.common import AsJson, JobName, client_of, job_id, label_of, print_json
+from gaitway.cli.common import AsJson, JobName, client_of, job_id, label_of, print_json, wrong_usage
 from gaitway.cli.compare import leaves
 from gaitway.cli.progress import duration
 from gaitway.cli.terminal import Console
+from gaitway.frames import RETURNS
 from gaitway.schema import AttemptView, JobView
 
 # The metrics that one looks at first.
@@ -43,14 +44,24 @@ def jobs(  # noqa: PLR0913 # A command line's options.
     ] = None,
     owner: Annotated[str | None, typer.Option(help="A user's name.")] = None,
     project: Annotated[str | None, typer.Option(help="One of yours.")] = None,
+    sweep: Annotated[
+        str | None, typer.Option(metavar="ID|none|folded", help="Its trials; no trials; one of each sweep.")
+    ] = None,
+    sort: Annotated[
+        str | None, typer.Option(metavar="COLUMN", help="Such as return, duration or label:KEY.")
+    ] = None,
+    ascending: Annotated[bool, typer.Option("--asc", help="With --sort: the least first.")] = False,
     limit: Annotated[int, typer.Option("--limit", "-n", min=1)] = 20,
     as_json: AsJson = False,
 ) -> None:
     """List jobs, newest first; with accounts your own before those of others."""
+    if ascending and sort is None:
+        raise wrong_usage("--asc is the order of --sort: say by which column.")
     labels = dict(map(label_of, label or ()))
     filters = {"status": status, "kind": kind, "environment": environment, "name": name, "labels": labels}
-    filters |= {"owner": owner, "project": project}
-    found = list(client_of(context).list(limit=limit, **filters))
+    filters |= {"owner": owner, "project": project, "sweep": sweep}
+    order = {"sort": sort, "order": "asc" if ascending else None}
+    found = list(client_of(context).list(limit=limit, **filters, **order))
     if as_json:
         print_json(found)
     elif not found:
@@ -94,14 +105,26 @@ def origin(job: JobView) -> str | None:
 def _table(found: Sequence[JobView]) -> Table:
     table = Table(box=None, pad_edge=False)
     owned = any(job.owner for job in found)
-    for column in ("JOB", "KIND", "ENVIRONMENT", "STATUS", "STEPS", "AGE", *["OWNER"] * owned, "NAME"):
+    for column in (
+        "JOB",
+        "KIND",
+        "ENVIRONMENT",
+        "STATUS",
+        "STEPS",
+        "RETURN",
+        "AGE",
+        *["OWNER"] * owned,
+        "NAME",
+    ):
         table.add_column(column, no_wrap=column == "JOB")
     for job in found:
         age = duration((datetime.now(UTC) - job.created_at).total_seconds())
         share = f"{100 * job.progress.step / job.progress.total:.0f} %" if job.progress.total else ""
         status = Text(_status(job), style=_STYLES.get(job.status, ""))
         owner = [job.owner or ""] * owned
-        texts = (job.id, job.kind, job.environment or "", status, share, age, *owner, job.name or "")
+        measured = (job.progress.metrics.get(name) for name in RETURNS)
+        last = next((f"{value:.4g}" for value in measured if value is not None), "")
+        texts = (job.id, job.kind, job.environment or "", status, share, last, age, *owner, job.name or "")
         table.add_row(*(text if isinstance(text, Text) else Text(text) for text in texts))
     return table
 

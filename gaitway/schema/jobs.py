@@ -114,6 +114,7 @@ class JobView(View):
         examples=["No worker has exactly 4 GPUs: the workers here have cpu, gpu:0."],
     )
     turn: TurnView | None = Field(None, description="When a queued job should start; only `GET` returns it.")
+    sweep: str | None = Field(None, description="The id of its sweep; only `GET` returns it.")
     imported_from: OriginView | None = Field(
         None,
         description="Where an imported job was run. Ids in its `spec` are of that service; `attempts` and "

@@ -110,3 +110,38 @@ def test_a_listing_has_the_newest_attempts_and_files_in_brief(stack: Stack) -> N
     assert [file["step"] for file in listed["artifacts"]] == list(range(7, 12))
     assert len(whole["artifacts"]) == 5
     assert [bool(file["metadata"]) for file in listed["artifacts"]] == [True] * 4 + [False]
+
+
+def test_a_sorted_list_is_read_page_by_page(stack: Stack) -> None:
+    for number, arm in enumerate(("b", "c", "a")):
+        stack.store.add(job(f"{number:012x}-0000000000", name=f"{number}" * 200, labels={"arm": arm}))
+    query = {"sort": "label:arm", "order": "asc", "limit": 2}
+    first = stack.http.get("/jobs", params=query).json()
+    rest = stack.http.get("/jobs", params={**query, "cursor": first["next"]}).json()
+    assert [item["labels"]["arm"] for item in (*first["items"], *rest["items"])] == ["a", "b", "c"]
+    # The longest name is a part of the cursor, and the greatest comes first where nothing else is said.
+    first = stack.http.get("/jobs?sort=name&limit=2").json()
+    rest = stack.http.get("/jobs", params={"sort": "name", "limit": 2, "cursor": first["next"]}).json()
+    assert [item["name"][0] for item in (*first["items"], *rest["items"])] == ["2", "1", "0"]
+    with Client(f"http://127.0.0.1:{stack.port}") as client:
+        found = client.list(sort="label:arm", labels={"arm": "b"})
+        assert [one.labels["arm"] for one in found] == ["b"]
+
+
+@pytest.mark.parametrize(
+    ("query", "pointer", "hint"),
+    [
+        ("sort=retrun", "/sort", "did you mean `return`?"),
+        ("sort=", "/sort", "choose one of created, "),
+        ("sort=label:", "/sort", "a key of letters"),
+        ("order=asc", "/order", "say by which column"),
+        ("sort=name&order=up", "/order", "'asc' or 'desc'"),
+        ("sweep=mine", "/sweep", "`none` or `folded`"),
+        ("sort=name&cursor=019aa3c2f0b1-5be0c1d2e3", "/cursor", "leave it out"),
+        ("cursor=sorted-AAAA", "/cursor", "leave it out"),
+    ],
+)
+def test_a_wrong_order_is_refused_with_its_place(stack: Stack, query: str, pointer: str, hint: str) -> None:
+    document = problem(stack.http.get(f"/jobs?{query}"), 422, "invalid-request")
+    assert pointers(document) == [pointer]
+    assert hint in document["errors"][0]["detail"]

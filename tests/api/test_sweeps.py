@@ -108,6 +108,28 @@ def test_a_sweep_goes_its_way(stack: Stack, look: Callable[[], int]) -> None:
     assert "trials" not in listed
 
 
+def test_a_sweep_is_one_row_of_the_list_of_jobs(stack: Stack, look: Callable[[], int]) -> None:
+    alone = stack.http.post("/jobs", json=JOB).json()["id"]
+    sweep = post(stack).json()
+    look()
+    for number, value in enumerate((3.0, 5.0)):
+        finish(stack, number, {METRIC: value})
+    folded = stack.http.get("/jobs?sweep=folded").json()["items"]
+    assert [item["sweep"] for item in folded] == [sweep["id"], None]
+    assert folded[1]["id"] == alone
+    # By the return it stands where its best trial does.
+    [first, _] = stack.http.get("/jobs?sweep=folded&sort=return").json()["items"]
+    assert first["progress"]["metrics"] == {METRIC: 5.0}
+    assert stack.http.get(first["links"]["self"]).json()["sweep"] == sweep["id"]
+    assert [item["id"] for item in stack.http.get("/jobs?sweep=none").json()["items"]] == [alone]
+    trials = stack.http.get("/jobs", params={"sweep": sweep["id"], "sort": "return", "order": "asc"}).json()
+    assert [item["labels"]["trial"] for item in trials["items"][:2]] == ["0", "1"]
+    [row] = stack.http.get("/sweeps", params={"id": [sweep["id"], alone]}).json()["items"]
+    assert row["num_trials"] == {"succeeded": 2, "queued": 2}
+    document = problem(stack.http.get("/sweeps?id=mine"), 422, "invalid-request")
+    assert pointers(document) == ["/id"]
+
+
 def test_what_matters_is_important(stack: Stack, look: Callable[[], int]) -> None:
     post(
         stack,

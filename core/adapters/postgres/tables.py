@@ -65,19 +65,15 @@ def _moment(name: str, *, nullable: bool = True) -> Column[Any]:
     return Column(name, TIMESTAMP(timezone=True), nullable=nullable)
 
 
-def _of_progress(name: str, value: str) -> Column[Any]:
-    """A number of `progress`, computed as it is written: reading the JSON of 10,000 jobs takes 0.4 s."""
+def _of_progress(name: str, *paths: str) -> Column[Any]:
+    """The first number of `progress` that there is: reading the JSON of 10,000 jobs takes 0.4 s."""
     # In PostgreSQL's own form, so that a comparison with the database's finds them equal.
-    is_whole = r"progress IS JSON OBJECT AND strpos(progress, '\u0000'::text) = 0"
+    values = [f"JSON_VALUE(progress::jsonb, '{path}' RETURNING double precision)" for path in paths]
+    value = f"COALESCE({', '.join(values)})" if len(values) > 1 else values[0]
+    is_whole = r"progress IS JSON AND progress !~* '\\u(0000|d[89ab])'::text"
     number = f"CASE WHEN {is_whole} THEN {value} ELSE NULL::double precision END"
     return Column(name, Double, Computed(number, persisted=True))
 
-
-def _number(path: str) -> str:
-    return f"(progress::json {path}::text)::double precision"
-
-
-_METRIC = "-> 'metrics'::text ->> '{}/episode_reward'"
 
 jobs = Table(
     "jobs",
@@ -102,11 +98,11 @@ jobs = Table(
     _moment("finished_at"),
     _moment("not_before"),
     Column("progress", Text),
-    _of_progress("progress_step", _number("->> 'step'")),
-    _of_progress("progress_speed", _number("->> 'steps_per_second'")),
+    _of_progress("progress_step", '$."step"'),
+    _of_progress("progress_speed", '$."steps_per_second"'),
     _of_progress(
         "progress_return",
-        f"COALESCE({_number(_METRIC.format('eval'))}, {_number(_METRIC.format('training'))})",
+        *(f'$."metrics"."{phase}/episode_reward"' for phase in ("eval", "training")),
     ),
     Column("imported_from", Text),
     # What retention rules have removed of its files.

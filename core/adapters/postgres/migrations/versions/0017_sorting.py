@@ -5,28 +5,29 @@ from alembic import op
 revision = "0017"
 down_revision = "0016"
 
-_METRIC = "(progress::json -> 'metrics' ->> '{}/episode_reward')::double precision"
-_COLUMNS = {
-    "progress_step": "(progress::json ->> 'step')::double precision",
-    "progress_speed": "(progress::json ->> 'steps_per_second')::double precision",
-    "progress_return": f"coalesce({_METRIC.format('eval')}, {_METRIC.format('training')})",
+_PATHS = {
+    "progress_step": ["$.step"],
+    "progress_speed": ["$.steps_per_second"],
+    "progress_return": ['$.metrics."eval/episode_reward"', '$.metrics."training/episode_reward"'],
 }
 
 
 def upgrade() -> None:
     # One statement writes the table anew once.
-    op.execute(f"ALTER TABLE jobs {', '.join(_added(name, value) for name, value in _COLUMNS.items())}")
+    op.execute(f"ALTER TABLE jobs {', '.join(_added(name, paths) for name, paths in _PATHS.items())}")
     op.create_index("trials_jobs", "trials", ["sweep_id", "job_id"])
 
 
-def _added(name: str, value: str) -> str:
-    """PostgreSQL's JSON refuses U+0000, and a damaged record is no JSON."""
-    is_whole = r"progress IS JSON OBJECT AND strpos(progress, '\u0000') = 0"
+def _added(name: str, paths: list[str]) -> str:
+    """A damaged record may be no JSON, and PostgreSQL reads neither U+0000 nor half a character."""
+    is_whole = r"progress IS JSON AND progress !~* '\\u(0000|d[89ab])'"
+    values = [f"JSON_VALUE(progress::jsonb, '{path}' RETURNING double precision)" for path in paths]
+    value = f"COALESCE({', '.join(values)})" if len(values) > 1 else values[0]
     computed = f"CASE WHEN {is_whole} THEN {value} END"
     return f"ADD COLUMN {name} double precision GENERATED ALWAYS AS ({computed}) STORED"
 
 
 def downgrade() -> None:
     op.drop_index("trials_jobs", "trials")
-    for name in reversed(_COLUMNS):
+    for name in reversed(_PATHS):
         op.drop_column("jobs", name)
