@@ -208,20 +208,21 @@ def matches(query: JobQuery, table: FromClause, part: Part) -> list[ColumnElemen
     if query.sweep == NO_SWEEP:
         wanted.append(~exists().where(trials.c.job_id == table.c.id))
     if query.sweep == FOLDED and query.sort is None:
-        wanted.append(table.c.id == func.coalesce(_newest_of_its_sweep(query, table, part), table.c.id))
+        wanted.append(table.c.id == func.coalesce(_newest_of_its_sweep(query, table), table.c.id))
     return wanted
 
 
-def _newest_of_its_sweep(query: JobQuery, table: FromClause, part: Part) -> ColumnElement[Any]:
-    """The newest job that matches of the sweep that a row's job is a trial of; null for another job."""
+def _newest_of_its_sweep(query: JobQuery, table: FromClause) -> ColumnElement[Any]:
+    """The newest job that matches of the sweep that a row's job is a trial of; null for another job.
+
+    The jobs of a sweep have one owner and one project.
+    """
     mine, others, sibling = trials.alias("mine"), trials.alias("others"), jobs.alias("sibling")
     wanted = select(others.c.job_id).where(
-        mine.c.job_id == table.c.id,
-        others.c.sweep_id == mine.c.sweep_id,
-        sibling.c.id == others.c.job_id,
-        *_filters(query, sibling),
-        *of(sibling, query.whose, part),
+        mine.c.job_id == table.c.id, others.c.sweep_id == mine.c.sweep_id, others.c.job_id.isnot(None)
     )
+    if filters := _filters(query, sibling):
+        wanted = wanted.where(sibling.c.id == others.c.job_id, *filters)
     return wanted.order_by(others.c.job_id.desc()).limit(1).correlate(table).scalar_subquery()
 
 

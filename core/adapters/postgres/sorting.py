@@ -18,6 +18,7 @@ from sqlalchemy import (
     Row,
     Text,
     and_,
+    collate,
     func,
     literal,
     or_,
@@ -96,12 +97,12 @@ def _is_text(sort: Sort) -> bool:
 def _key(sort: Sort, at: float) -> ColumnElement[Any]:
     """The column as text or a number; null for a job that has none. at: until when running jobs have run."""
     if sort.label is not None:
-        return cast_to(jobs.c.labels[sort.label].astext, Text)
+        return _text(jobs.c.labels[sort.label].astext)
     match sort.column:
         case "created" | "started" | "finished":
             return _epoch(jobs.c[f"{sort.column}_at"])
         case "name":
-            return func.lower(jobs.c.name, type_=Text)
+            return _text(func.lower(jobs.c.name))
         case "status":
             place = func.array_position(literal([status.value for status in JobStatus]), jobs.c.status)
             return cast_to(place, Double)
@@ -113,9 +114,14 @@ def _key(sort: Sort, at: float) -> ColumnElement[Any]:
         case "attempts":
             return cast_to(jobs.c.num_attempts, Double)
         case "device" | "engine":
-            return _newest(sort.column)
+            return _text(_newest(sort.column))
         case _:
-            return cast_to(jobs.c[sort.column], Text)
+            return _text(jobs.c[sort.column])
+
+
+def _text(value: ColumnElement[Any]) -> ColumnElement[Any]:
+    """In the order of its bytes, which is the same in a database of any language, and fast."""
+    return collate(cast_to(value, Text), "C")
 
 
 def _epoch(moment: ColumnElement[Any]) -> ColumnElement[Any]:
@@ -141,10 +147,10 @@ def _sorted(query: JobQuery, sort: Sort, at: float, place: _Place | None, limit:
     keyed = among.subquery("keyed")
     is_shown = keyed.c.of_sweep == 1 if query.sweep == FOLDED else true()
     behind = true() if place is None else _behind(keyed.c.sorted_by, keyed.c.id, place)
-    order = _order(keyed.c.sorted_by, keyed.c.id, sort)
-    top = select(keyed.c.id, keyed.c.sorted_by, func.row_number().over(order_by=order).label("above"))
-    top = top.where(is_shown, behind).order_by(*order).limit(limit).subquery("top")
-    wanted = select(jobs, top.c.sorted_by, (-top.c.above).label("below")).join(top, top.c.id == jobs.c.id)
+    top = select(keyed.c.id, keyed.c.sorted_by).where(is_shown, behind)
+    top = top.order_by(*_order(keyed.c.sorted_by, keyed.c.id, sort)).limit(limit).subquery("top")
+    place_in_page = func.row_number().over(order_by=_order(top.c.sorted_by, top.c.id, sort))
+    wanted = select(jobs, top.c.sorted_by, (-place_in_page).label("below")).join(top, top.c.id == jobs.c.id)
     return listing.by_bytes(wanted, listing.size_of(jobs), "below")
 
 
