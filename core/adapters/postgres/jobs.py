@@ -10,6 +10,8 @@ from psycopg.errors import UniqueViolation
 from sqlalchemy import (
     Boolean,
     Connection,
+    Integer,
+    Text,
     any_,
     bindparam,
     case,
@@ -20,7 +22,7 @@ from sqlalchemy import (
     union_all,
     update,
 )
-from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.dialects.postgresql import INTERVAL, insert
 from sqlalchemy.exc import DataError, IntegrityError
 
 from core.accounts.principal import Ownership
@@ -141,7 +143,7 @@ class JobQueries(Session):
 
     def take_back(self, job: Job) -> None:
         with self._transaction() as connection:
-            save_job(connection, job, leases.is_over())
+            save_job(connection, job, _TAKE_BACK)
 
     def delete(self, job_id: str, version: int) -> None:
         with self._transaction() as connection:
@@ -263,29 +265,63 @@ def _new_key() -> Any:
 # ---- The next version of a job, written if the stored version is the one before. -------------------------
 
 
+def _save() -> Any:
+    """A lease belongs to the present attempt; a change of hands ends the one before."""
+    changed = {name: bindparam(f"new_{name}", type_=jobs.c[name].type) for name in rows.CHANGING}
+    lease = bindparam("lease", type_=INTERVAL)
+    kept = case(
+        (changed["token"] == "", None),
+        (lease.is_not(None), NOW + lease),
+        (jobs.c.token == changed["token"], jobs.c.lease_until),
+    )
+    saved = bindparam("saved", type_=Text)
+    status = select(jobs.c.status).where(jobs.c.id == saved).scalar_subquery()
+    has_artifacts = exists().where(artifacts.c.job_id == saved)
+    return (
+        update(jobs)
+        .where(jobs.c.id == saved, jobs.c.version == bindparam("version_before", type_=Integer))
+        .values({**changed, "lease_until": kept})
+        .returning(status.label("status"), has_artifacts.label("has_artifacts"))
+    )
+
+
+def _write_attempt() -> Any:
+    statement = insert(attempts)
+    changes = {
+        column.name: statement.excluded[column.name] for column in attempts.c if not column.primary_key
+    }
+    return statement.on_conflict_do_update(index_elements=["job_id", "number"], set_=changes)
+
+
+# Built once, as they are parts of each claim and each end.
+SAVE, _WRITE_ATTEMPT = _save(), _write_attempt()
+# As if it were stale where somebody is about to change it.
+SAVE_AT_ONCE = SAVE.where(
+    jobs.c.id
+    == select(jobs.c.id)
+    .where(jobs.c.id == bindparam("saved"))
+    .with_for_update(skip_locked=True)
+    .scalar_subquery()
+)
+_TAKE_BACK = SAVE.where(leases.is_over())
+
+
 def save_job(
     connection: Connection,
     job: Job,
-    *conditions: Any,
+    statement: Any = SAVE,
+    *,
     lease: timedelta | None = None,
     note: str | None = None,
 ) -> None:
     """Write the job, its attempts and artifacts, its events, and the dispatch of a change of status.
 
-    Raises StaleJob, JobNotFound.
+    statement: `SAVE`, or with a further condition. Raises StaleJob, JobNotFound.
     """
-    values = rows.job_values(job)
-    # A lease belongs to the present attempt; a change of hands ends the one before.
-    same_holder = jobs.c.token == job.token
-    kept = case((same_holder, jobs.c.lease_until), else_=None) if job.token else None
-    values["lease_until"] = NOW + rows.interval(lease) if lease is not None and job.token else kept
-    status = select(jobs.c.status).where(jobs.c.id == job.id).scalar_subquery()
-    has_artifacts = exists().where(artifacts.c.job_id == job.id)
+    values = {f"new_{name}": value for name, value in rows.job_values(job).items()}
+    span = None if lease is None else rows.interval(lease)
     before = connection.execute(
-        update(jobs)
-        .where(jobs.c.id == job.id, jobs.c.version == job.version - 1, *conditions)
-        .values(values)
-        .returning(status.label("status"), has_artifacts.label("has_artifacts"))
+        statement, {**values, "saved": job.id, "version_before": job.version - 1, "lease": span}
     ).first()
     if before is None:
         _refuse(connection, job.id)
@@ -305,16 +341,8 @@ def save_job(
 
 
 def _write_attempts(connection: Connection, job_id: str, changed: Sequence[Attempt]) -> None:
-    if not changed:
-        return
-    statement = insert(attempts)
-    changes = {
-        column.name: statement.excluded[column.name] for column in attempts.c if not column.primary_key
-    }
-    connection.execute(
-        statement.on_conflict_do_update(index_elements=["job_id", "number"], set_=changes),
-        [rows.attempt_values(job_id, attempt) for attempt in changed],
-    )
+    if changed:
+        connection.execute(_WRITE_ATTEMPT, [rows.attempt_values(job_id, attempt) for attempt in changed])
 
 
 def _write_artifacts(connection: Connection, job: Job) -> None:

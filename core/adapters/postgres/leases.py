@@ -52,6 +52,9 @@ _REMOVE = delete(dispatches).where(
     dispatches.c.subject == bindparam("subject"),
     dispatches.c.attempt == bindparam("attempt"),
 )
+_FORGET = delete(dispatches).where(
+    dispatches.c.task == "attempt", dispatches.c.subject == bindparam("job_id")
+)
 
 
 # The users and projects of whom as many jobs run as may.
@@ -158,9 +161,7 @@ def update_dispatch(connection: Connection, job: Job) -> None:
 
 
 def forget_dispatch(connection: Connection, job_id: str) -> None:
-    connection.execute(
-        delete(dispatches).where(dispatches.c.task == "attempt", dispatches.c.subject == job_id)
-    )
+    connection.execute(_FORGET, {"job_id": job_id})
 
 
 def _waiting(

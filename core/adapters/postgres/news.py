@@ -13,6 +13,7 @@ from sqlalchemy import (
     Connection,
     Row,
     and_,
+    bindparam,
     delete,
     exists,
     func,
@@ -69,6 +70,8 @@ _TELLS = or_(
         ),
     ),
 )
+
+_ADD = insert(news).values({**{column.name: bindparam(column.name) for column in news.c}, "created_at": NOW})
 
 
 class NewsQueries(Session):
@@ -280,8 +283,7 @@ def enter(connection: Connection, job: Job, before: JobStatus) -> None:
 
 def add(connection: Connection, message: News | None) -> None:
     if message is not None:
-        values = {**message.model_dump(exclude={"notify"}), "notify": [*message.notify]}
-        connection.execute(insert(news).values({**values, "created_at": NOW}))
+        connection.execute(_ADD, {**message.model_dump(exclude={"notify"}), "notify": [*message.notify]})
 
 
 def forget_old(connection: Connection, limit: int = 5000) -> bool:

@@ -83,8 +83,23 @@ def _brief_artifacts() -> Any:
 _BRIEF_ATTEMPTS_OF, _BRIEF_ARTIFACTS_OF = _brief_attempts(), _brief_artifacts()
 
 
+# The columns of `jobs` that change with the version; the store adds the counters and the lease.
+CHANGING = (
+    "version",
+    "status",
+    "reason",
+    "message",
+    "started_at",
+    "finished_at",
+    "not_before",
+    "token",
+    "num_attempts",
+    "queue",
+)
+
+
 def job_values(job: Job) -> Values:
-    """The columns of `jobs` that change with the version; the store adds the counters and the lease."""
+    """The columns that change with the version."""
     return {
         "version": job.version,
         "status": job.status.value,

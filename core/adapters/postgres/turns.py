@@ -1,24 +1,25 @@
-"""Whose turn it is, decided where a job is claimed: in one transaction, which no other claim runs beside.
+"""Whose turn it is, decided where a job is claimed, in one transaction.
 
+A claim passes a job by that another one is about to take, and counts it as started: claims do not wait for
+each other. Where somebody has a quota of running jobs they do, so that it is exact.
 `core.jobs.turns` decides. It is told of the oldest waiting job of each queue and user, which an index has, so
 that a claim takes as long among ten thousand jobs as among ten.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, Row, select, text
+from sqlalchemy import Connection, Row, TextClause, select, text
 from sqlalchemy.dialects.postgresql import insert
 
 from core.accounts.store import Actor
 from core.adapters.postgres.accounts import note_audit
 from core.adapters.postgres.engine import Session
-from core.adapters.postgres.jobs import save_job
-from core.adapters.postgres.rows import HELD, find_job, readable
+from core.adapters.postgres.jobs import SAVE_AT_ONCE, save_job
+from core.adapters.postgres.rows import HELD, columns, find_job, readable
 from core.adapters.postgres.tables import quotas as quotas_table
 from core.adapters.postgres.usage import SHARES
 from core.errors import IllegalTransition, JobNotFound, StaleJob
@@ -28,9 +29,13 @@ from core.jobs.queue import PRIORITIES
 from core.jobs.slots import kind_of_queue
 from core.jobs.turns import Quota, Quotas, Request, Share, Started, TurnFacts, Who, in_order, standings_on
 
-# An arbitrary number of ours: two claims wait for each other. Without sorting, PostgreSQL walks the index
-# `jobs_turns` also where it has no statistics yet.
-_BEGIN = text("SELECT pg_advisory_xact_lock(7310582061), set_config('enable_sort', 'off', true)")
+# Without sorting, PostgreSQL walks the index `jobs_turns` also where it has no statistics yet. Planning anew
+# for each claim would take half of its time.
+_PLAN = text("""
+    SELECT set_config('enable_sort', 'off', true), set_config('plan_cache_mode', 'force_generic_plan', true)
+""")
+# An arbitrary number of ours: who comes second waits until the first one's transaction has ended.
+_ALONE = text("SELECT pg_advisory_xact_lock(7310582061)")
 # As `leases._is_due`: a pause that is longer than any was set before the clock was.
 _DUE = """
     status = 'queued' AND id <> ALL(CAST(:but_not AS text[]))
@@ -39,7 +44,7 @@ _DUE = """
 """
 _HEAD = "SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs"
 # The oldest job of each queue, project and user. A row without a queue is of an older version.
-_HEADS = text(f"""
+_HEADS = f"""
     WITH RECURSIVE heads AS (
         SELECT first.* FROM unnest(CAST(:queues AS text[])) AS queues (name) CROSS JOIN LATERAL (
             {_HEAD} WHERE queue = queues.name AND {_DUE}
@@ -55,17 +60,31 @@ _HEADS = text(f"""
     SELECT * FROM heads
     UNION ALL
     {_HEAD} WHERE id = :told AND queue IS NULL AND {_DUE}
-""")  # noqa: S608 # A constant.
-_RUNNING = text("""
+"""  # noqa: S608 # A constant.
+_RUNNING = """
     SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token, attempts.worker,
         CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s
     FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
     WHERE jobs.status = ANY(CAST(:held AS text[]))
-""")
+"""
 # The oldest; what is beyond has no forecast.
-_WAITING = text("""
-    SELECT id, queue, project, coalesce(owner, '') FROM jobs WHERE status = 'queued' ORDER BY id LIMIT 20000
-""")
+_WAITING = """
+    SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs WHERE status = 'queued'
+    ORDER BY id LIMIT 20000
+"""
+
+
+def _facts(waiting: str) -> TextClause:
+    """All that a choice needs by one statement: a round trip for each part would take most of its time."""
+    parts = {"waiting": waiting, "started": _RUNNING, "shares": SHARES, "quotas": "SELECT * FROM quotas"}
+    columns = (
+        f"(SELECT coalesce(json_agg(part), '[]') FROM ({query}) AS part) AS {name}"  # noqa: S608 # Constants.
+        for name, query in parts.items()
+    )
+    return text(f"SELECT {', '.join(columns)}")
+
+
+_FACTS_OF_CLAIM, _FACTS_OF_ALL, _NEXT_HEADS = _facts(_HEADS), _facts(_WAITING), text(_HEADS)
 # After so many jobs of one queue and user that it cannot run, a worker looks at those of others.
 _MOST_UNFIT_OF_ONE = 10
 # After so many of all users, one job of each is enough: other claims wait meanwhile.
@@ -90,53 +109,34 @@ class TurnQueries(Session):
         told: str = "",
         offer: Offer | None = None,
     ) -> Job | None:
+        def claim(connection: Connection, first: Request) -> Job | None:
+            job = find_job(connection, first.id)
+            if not isinstance(job, Job) or not fits(job):
+                return None
+            given = {} if offer is None else {GIVEN: offer.device(first.gpus)}
+            claimed = job.claimed(worker, now, secret, {**(details or {}), **given})
+            save_job(connection, claimed, SAVE_AT_ONCE, lease=lease)
+            return claimed
+
+        asked = {"queues": list(queues), "but_not": [], "told": told, "held": list(HELD)}
         with self._transaction() as connection:
-            connection.execute(_BEGIN)
-            running = connection.execute(_RUNNING, {"held": list(HELD)}).all()
-            started = [_started(row) for row in running]
-            device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in queues) else "cpu"
-            if mine := [row.id for row in running if row.token.endswith(f"-{secret}")]:
+            connection.execute(_PLAN)
+            found = connection.execute(_FACTS_OF_CLAIM, asked).one()
+            if mine := [row["id"] for row in found.started if row["token"].endswith(f"-{secret}")]:
                 return readable(find_job(connection, mine[0]))  # The answer to an earlier call was lost.
-            shares, quotas = _shares(connection), _quotas(connection)
-            standings, _ = standings_on(device, shares, started, quotas)
-
-            def next_of(heads: Sequence[Request]) -> Request | None:
-                if offer is None:
-                    return next(in_order(heads, standings), None)
-                return choose_for(offer, heads, TurnFacts(heads, started, shares, quotas))
-
-            unfit, unfit_of = list[str](), Counter[_Group]()
-            heads = _heads(connection, queues, unfit, told)
-            while (first := next_of(heads)) is not None:
-                # Without the lock on rows, somebody may cancel or delete the job meanwhile, or claim it by
-                # `save`. These errors are ours: no statement has failed, and the transaction goes on.
-                with suppress(IllegalTransition, StaleJob, JobNotFound):
-                    job = find_job(connection, first.id)
-                    if isinstance(job, Job) and fits(job):
-                        given = {} if offer is None else {GIVEN: offer.device(first.gpus)}
-                        claimed = job.claimed(worker, now, secret, {**(details or {}), **given})
-                        save_job(connection, claimed, lease=lease)
-                        return claimed
-                unfit.append(first.id)
-                unfit_of[_group(first)] += 1
-                most = _MOST_UNFIT_OF_ONE if len(unfit) < _MOST_UNFIT else 1
-                if unfit_of[_group(first)] < most:
-                    heads = _heads(connection, queues, unfit, told)
-                heads = [head for head in heads if unfit_of[_group(head)] < most]
-        return None
+            facts = _facts_of(found)
+            if any(quota.running is not None for quota in facts.quotas.by_party.values()):
+                connection.execute(_ALONE)
+                facts = _facts_of(connection.execute(_FACTS_OF_CLAIM, asked).one())
+            return _take(connection, asked, facts, claim, offer)
 
     def turn_facts(self) -> TurnFacts:
         with self._statements() as connection:
-            return TurnFacts(
-                waiting=[request(*row) for row in connection.execute(_WAITING)],
-                started=[_started(row) for row in connection.execute(_RUNNING, {"held": list(HELD)})],
-                shares=_shares(connection),
-                quotas=_quotas(connection),
-            )
+            return _facts_of(connection.execute(_FACTS_OF_ALL, {"held": list(HELD)}).one())
 
     def quotas(self) -> Quotas:
         with self._statements() as connection:
-            return _quotas(connection)
+            return _quotas(columns(row) for row in connection.execute(select(quotas_table)))
 
     def set_quota(self, kind: str, name: str, quota: Quota, actor: Actor) -> None:
         values = asdict(quota)
@@ -146,13 +146,63 @@ class TurnQueries(Session):
             note_audit(connection, actor, "quota.set", f"{kind} {name}", **values)
 
 
-def _heads(connection: Connection, queues: Sequence[str], but_not: Sequence[str], told: str) -> list[Request]:
-    values = {"queues": list(queues), "but_not": list(but_not), "told": told}
-    return [request(row.id, row.queue, row.project, row.owner) for row in connection.execute(_HEADS, values)]
+def _take(
+    connection: Connection,
+    asked: Mapping[str, Any],
+    facts: TurnFacts,
+    claim: Callable[[Connection, Request], Job | None],
+    offer: Offer | None,
+) -> Job | None:
+    """The first job in turn that can be claimed. Raises NothingFits.
+
+    asked: what the facts are of. claim: returns None for a job that is for another worker.
+    """
+    device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in asked["queues"]) else "cpu"
+    standings, _ = standings_on(device, facts.shares, facts.started, facts.quotas)
+
+    def next_of(heads: Sequence[Request]) -> Request | None:
+        if offer is None:
+            return next(in_order(heads, standings), None)
+        return choose_for(offer, heads, facts)
+
+    passed, unfit, heads = list[str](), Counter[_Group](), facts.waiting
+    while (first := next_of(heads)) is not None:
+        most = _MOST_UNFIT_OF_ONE if unfit.total() < _MOST_UNFIT else 1
+        # These errors are ours: no statement has failed, and the transaction goes on.
+        try:
+            if (claimed := claim(connection, first)) is not None:
+                return claimed
+            unfit[_group(first)] += 1
+        except (IllegalTransition, JobNotFound):  # It was cancelled, claimed or deleted meanwhile.
+            pass
+        except StaleJob:  # Another claim is about to have it, as a rule.
+            standings.start(first)
+        passed.append(first.id)
+        if unfit[_group(first)] < most:
+            rows = connection.execute(_NEXT_HEADS, {**asked, "but_not": passed}).mappings()
+            heads = [_request(row) for row in rows]
+        heads = [head for head in heads if unfit[_group(head)] < most]
+    return None
 
 
 def _group(waiting: Request) -> _Group:
     return waiting.kind, waiting.rank, waiting.who
+
+
+def _facts_of(found: Row[Any]) -> TurnFacts:
+    return TurnFacts(
+        waiting=[_request(row) for row in found.waiting],
+        started=[_started(row) for row in found.started],
+        shares=[
+            Share(row["device"], (row["project"], row["owner"]), row["amount"], row["usual_s"])
+            for row in found.shares
+        ],
+        quotas=_quotas(found.quotas),
+    )
+
+
+def _request(row: Any) -> Request:
+    return request(row["id"], row["queue"], row["project"], row["owner"])
 
 
 def request(job_id: str, queue: str | None, project: str, owner: str) -> Request:
@@ -168,27 +218,14 @@ def rank_of_queue(queue: str | None) -> int:
     return PRIORITIES.index(priority) if priority in PRIORITIES else len(PRIORITIES)
 
 
-def _shares(connection: Connection) -> list[Share]:
-    return [
-        Share(row.device, (row.project, row.owner), row.amount, row.usual_s)
-        for row in connection.execute(SHARES)
-    ]
-
-
-def _started(row: Row[Any]) -> Started:
-    kind = kind_of_queue(row.queue)
-    device = "gpu" if ":gpu" in row.worker else "cpu"  # As a worker names itself.
+def _started(row: Mapping[str, Any]) -> Started:
+    kind = kind_of_queue(row["queue"])
+    device = "gpu" if ":gpu" in row["worker"] else "cpu"  # As a worker names itself.
     gpus = max(1, kind.gpus) * kind.hosts
-    return Started(
-        row.id, (row.project, row.owner), device, gpus, row.age_s, row.worker, rank_of_queue(row.queue)
-    )
+    who, rank = (row["project"], row["owner"]), rank_of_queue(row["queue"])
+    return Started(row["id"], who, device, gpus, row["age_s"], row["worker"], rank)
 
 
-def _quotas(connection: Connection) -> Quotas:
-    found = connection.execute(select(quotas_table)).all()
-    return Quotas(
-        {
-            (row.kind, row.name): Quota(row.weight, row.running, row.queued, row.gpu_hours, row.bytes)
-            for row in found
-        }
-    )
+def _quotas(found: Iterable[Mapping[str, Any]]) -> Quotas:
+    parts = ("weight", "running", "queued", "gpu_hours", "bytes")
+    return Quotas({(row["kind"], row["name"]): Quota(*(row[part] for part in parts)) for row in found})

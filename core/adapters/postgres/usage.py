@@ -136,9 +136,9 @@ _CHARGE = text(f"""
         seconds = shares.seconds * {_LEFT} + excluded.seconds,
         at = excluded.at
 """)  # noqa: S608 # A constant.
-SHARES = text(f"""
+SHARES = f"""
     SELECT device, project, owner, amount * {_LEFT} AS amount, seconds / attempts AS usual_s FROM shares
-""")  # noqa: S608 # A constant.
+"""  # noqa: S608 # A constant.
 
 
 def enter(connection: Connection, job: Job, before: JobStatus) -> None:
