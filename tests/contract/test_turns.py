@@ -8,8 +8,10 @@ from typing import Any
 
 import pytest
 import redis
+from sqlalchemy import text
 
 from core.accounts.store import Actor
+from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.jobs.attempts import Claim, claim_turn, new_secret
@@ -249,3 +251,15 @@ def test_in_memory_too_a_message_comes_again() -> None:
     assert queue.taken() == {("a", 1)}
     queue.enqueue("a", 1, name=name, again=True)
     assert (queue.taken(), queue.num_waiting([name])) == (set(), {name: 1})
+
+
+def test_a_job_that_another_claim_is_about_to_take_is_passed_over_without_waiting(
+    job_store: PostgresJobStore, database_url: str
+) -> None:
+    first, second = add(job_store), add(job_store)
+    engine = connect_postgres(database_url)
+    with engine.begin() as other:
+        other.execute(text("SELECT 1 FROM jobs WHERE id = :id FOR UPDATE"), {"id": first.id})
+        assert taken(job_store, 2) == [second.id]
+    engine.dispose()
+    assert taken(job_store, 2) == [first.id]

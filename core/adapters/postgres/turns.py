@@ -167,7 +167,6 @@ def _take(
 
     passed, unfit, heads = list[str](), Counter[_Group](), facts.waiting
     while (first := next_of(heads)) is not None:
-        most = _MOST_UNFIT_OF_ONE if unfit.total() < _MOST_UNFIT else 1
         # These errors are ours: no statement has failed, and the transaction goes on.
         try:
             if (claimed := claim(connection, first)) is not None:
@@ -178,6 +177,7 @@ def _take(
         except StaleJob:  # Another claim is about to have it, as a rule.
             standings.start(first)
         passed.append(first.id)
+        most = _MOST_UNFIT_OF_ONE if unfit.total() < _MOST_UNFIT else 1
         if unfit[_group(first)] < most:
             rows = connection.execute(_NEXT_HEADS, {**asked, "but_not": passed}).mappings()
             heads = [_request(row) for row in rows]
