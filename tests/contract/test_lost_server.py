@@ -19,6 +19,7 @@ from core.adapters.postgres.engine import DEADLINE_S, connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
+from core.jobs.patch import JobPatch
 from core.jobs.retention import EndedJob, Removal, Retention, RetentionRules, RetentionStore
 from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
@@ -58,6 +59,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "find": lambda jobs: jobs.find(job.id),
         "get": lambda jobs: jobs.get(job.id),
         "save": lambda jobs: jobs.save(job.running()),
+        "patch": lambda jobs: jobs.patch(job.id, JobPatch(name="a gait")),
         "take_back": lambda jobs: jobs.take_back(taken_back(job)),
         "delete": lambda jobs: jobs.delete(job.id, job.version),
         "deletions": lambda jobs: jobs.deletions(),
