@@ -19,6 +19,7 @@ from core.accounts.principal import Role, TokenScope
 from core.bounds import LARGEST_JOB_BYTES
 from core.environments.info import Device
 from core.jobs.job import ArtifactRole, JobPhase
+from core.jobs.quotas import QuotaKind
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerState
@@ -42,6 +43,7 @@ _VALUES: dict[str, Any] = {
     "JobStatus": JobStatus,
     "ModelStatus": ModelStatus,
     "PreviewStatus": Literal["ready", "drawing"],
+    "QuotaKind": QuotaKind,
     "Reason": Reason,
     "Role": Role,
     "SweepStatus": SweepStatus,

@@ -392,6 +392,23 @@ class TooManyWebhooks(Conflict):
         )
 
 
+class QuotaNotFound(NotFound):
+    code = "quota-not-found"
+    title = "No such quota"
+
+    def __init__(self, kind: str, name: str) -> None:
+        super().__init__(
+            f"No quota is set for the {kind} {name}; `gaitway quotas list` shows all.", kind=kind, name=name
+        )
+
+
+class QuotaExceeded(Conflict):
+    """`detail` has the numbers, and says when there is room. facts: quota, limit, used."""
+
+    code = "quota-exceeded"
+    title = "A quota is used up"
+
+
 class AddressesWait(Unavailable):
     code = "addresses-wait"
     title = "Too many addresses are being looked at"

@@ -23,6 +23,7 @@ from core.errors import (
     JobNotFound,
     JobUnreadable,
     Problem,
+    QuotaExceeded,
     RecordsUnavailable,
     Rejected,
     StorageUnavailable,
@@ -30,6 +31,7 @@ from core.errors import (
 from core.jobs.ending import cancel, delete
 from core.jobs.job import JOB_ID, Job, UnreadableJob
 from core.jobs.patch import JOB_PATCH
+from core.jobs.quotas import check_quotas
 from core.jobs.resolved import filled_in
 from core.jobs.sorting import COLUMNS, LABEL, sort_by
 from core.jobs.spec import JobKind, Text
@@ -141,6 +143,7 @@ class JobListing(JobFilters):
         BodyTooLarge,
         UnsupportedMediaType,
         Rejected,
+        QuotaExceeded,
         RecordsUnavailable,
     ),
 )
@@ -169,7 +172,9 @@ def submit_job(
     "/jobs/check",
     openapi_extra=_BODY,
     response_description="It would be queued as this specification",
-    responses=refusals(MalformedBody, BodyTooLarge, UnsupportedMediaType, Rejected, RecordsUnavailable),
+    responses=refusals(
+        MalformedBody, BodyTooLarge, UnsupportedMediaType, Rejected, QuotaExceeded, RecordsUnavailable
+    ),
 )
 def check_job(spec: Submitted, service: ServiceDep, principal: PrincipalDep) -> dict[str, Any]:
     """Refuse what a submission would be refused for, and store nothing.
@@ -178,7 +183,9 @@ def check_job(spec: Submitted, service: ServiceDep, principal: PrincipalDep) -> 
     """
     ownership = ownership_of_new(principal, spec.project, service)
     check_notify(spec, ownership.project, service.store)
-    return filled_in(new_job(spec, service.store, ownership, principal.readable), service.store)
+    job = new_job(spec, service.store, ownership, principal.readable)
+    check_quotas(spec, ownership, service.store, with_queue=True)
+    return filled_in(job, service.store)
 
 
 @router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))

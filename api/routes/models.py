@@ -21,11 +21,13 @@ from core.errors import (
     ModelInUse,
     ModelNotFound,
     Problem,
+    QuotaExceeded,
     RecordsUnavailable,
     Rejected,
     StorageUnavailable,
 )
 from core.jobs.ending import remove_model
+from core.jobs.quotas import check_bytes
 from core.jobs.spec import Text
 from core.user_models import library
 from core.user_models.record import ModelRecord
@@ -165,6 +167,7 @@ async def _added(
             TooManyModels,
             BadModel,
             Rejected,
+            QuotaExceeded,
             StorageUnavailable,
             RecordsUnavailable,
         ),
@@ -236,6 +239,10 @@ def _add(
         if named is None:
             raise BadModel("The zip cannot be read: it has no directory at its end.")
         upload = named
+    model_id = f"sha256:{upload.sha256}"
+    owners = store.owners_of_models([model_id]).get(model_id, ())
+    if ownership.project not in {one.project for one in owners}:
+        check_bytes(ownership, store, upload.size)
     return library.add(
         upload.path,
         upload.sha256,

@@ -25,11 +25,13 @@ from core.errors import (
     IdempotencyKeyReused,
     JobNotFound,
     JobUnreadable,
+    QuotaExceeded,
     RecordsUnavailable,
     Rejected,
     StorageUnavailable,
 )
 from core.jobs.job import Job
+from core.jobs.quotas import check_bytes
 from core.jobs.resolved import filled_in
 from core.jobs.store import Idempotency
 from core.jobs.submission import import_run
@@ -124,6 +126,7 @@ class ImportParameters(QueryParameters):
         TooManyImports,
         BadExport,
         Rejected,
+        QuotaExceeded,
         RecordsUnavailable,
         StorageUnavailable,
     ),
@@ -146,6 +149,8 @@ async def import_job(
     ownership = await run_sync(ownership_of_new, principal, sent.project, service)
     if service.num_imports >= _IMPORTS_AT_ONCE:
         raise TooManyImports(_IMPORTS_AT_ONCE)
+    if key is None:  # A key may be that of an import that is there already.
+        await run_sync(check_bytes, ownership, service.store)
     service.num_imports += 1
     try:
         async with receiving(request, service.settings.max_import_bytes) as upload:
@@ -164,6 +169,7 @@ def _import(
         return known
     with open_archive(upload.path, service.settings.max_import_bytes) as archive:
         run = read_run(archive, service, ownership, principal.readable)
+        check_bytes(ownership, service.store, sum(file.artifact.size for file in run.files))
         objects = service.patient or service.objects
         return import_run(run, store=service.store, objects=objects, idempotency=idempotency)
 

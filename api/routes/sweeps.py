@@ -16,6 +16,7 @@ from api.views import Listing, answer, sweep_details, sweep_view
 from core.errors import (
     IdempotencyKeyReused,
     JobNotFound,
+    QuotaExceeded,
     RecordsUnavailable,
     Rejected,
     SweepFinished,
@@ -73,6 +74,7 @@ class SweepFilters(QueryParameters):
         BodyTooLarge,
         UnsupportedMediaType,
         Rejected,
+        QuotaExceeded,
         RecordsUnavailable,
     ),
 )

@@ -15,12 +15,13 @@ from core.jobs.job import Job, Progress, UnreadableJob, utc_now
 from core.jobs.metrics import Block, Measurement
 from core.jobs.patch import JobPatch
 from core.jobs.pools import Offer
+from core.jobs.quotas import QuotaStore
 from core.jobs.retention import RetentionStore
 from core.jobs.slots import QueueCount
 from core.jobs.sorting import Sort
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
-from core.jobs.turns import Quotas, TurnFacts
+from core.jobs.turns import TurnFacts
 from core.jobs.usage import UsageStore
 from core.jobs.workers import WorkerStore
 from core.news.store import NewsStore
@@ -198,7 +199,7 @@ class Mark:
     num_logs: int
 
 
-class JobStore(ModelStore, NewsStore, RetentionStore, UsageStore, WorkerStore, Protocol):
+class JobStore(ModelStore, NewsStore, QuotaStore, RetentionStore, UsageStore, WorkerStore, Protocol):
     """The record. Every method raises RecordsUnavailable when the store cannot be reached.
 
     Each write is one transaction. `save` is a compare-and-set on the version; `renew` and `record` carry an
@@ -213,8 +214,9 @@ class JobStore(ModelStore, NewsStore, RetentionStore, UsageStore, WorkerStore, P
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
         """Store a new job and its dispatch, and return it; or, for a key seen before with the same
         fingerprint, the job stored then. Raises IdempotencyKeyReused for another fingerprint, JobExists for
-        an id that exists, and JobNotFound if the job whose checkpoint it needs was deleted. Keys are
-        remembered for 24 hours."""
+        an id that exists, JobNotFound if the job whose checkpoint it needs was deleted, and QuotaExceeded if
+        as many jobs of its owner or project are queued as may be; that is exact however many add jobs at
+        once. Keys are remembered for 24 hours."""
         ...
 
     def import_job(
@@ -364,10 +366,6 @@ class JobStore(ModelStore, NewsStore, RetentionStore, UsageStore, WorkerStore, P
 
     def turn_facts(self) -> TurnFacts:
         """What a forecast of the waiting jobs needs: reads all that wait, so ask now and then."""
-        ...
-
-    def quotas(self) -> Quotas:
-        """Those that were set."""
         ...
 
     def undispatched(self) -> Sequence[Dispatch]:

@@ -30,6 +30,7 @@ from core.jobs.feeds import store_imported
 from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.metrics import Block
 from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
+from core.jobs.quotas import check_quotas
 from core.jobs.spec import CheckpointPolicy, EnvironmentSpec, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import Chunk, Dispatch, Entry, Idempotency, JobStore
 from core.news.store import NewsStore
@@ -57,11 +58,12 @@ def submit(  # noqa: PLR0913 # All but the specification are named.
     The job and its dispatch are stored in one transaction: after that, a loss of Redis cannot lose the job.
     ownership, readable: as in `new_job`. acknowledge: called with the dispatch once the queue has received
     it; without, the reconciler finds out. correlation_id: of the request.
-    Raises Rejected, IdempotencyKeyReused, RecordsUnavailable.
+    Raises Rejected, QuotaExceeded, IdempotencyKeyReused, RecordsUnavailable.
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
         return known
     check_notify(spec, ownership.project, store)
+    check_quotas(spec, ownership, store)
     try:
         job = store.add(new_job(spec, store, ownership, readable, correlation_id), idempotency)
     except JobNotFound:  # The job whose checkpoint it needs was deleted between the check and this.

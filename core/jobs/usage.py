@@ -111,7 +111,7 @@ class ProjectUsage:
     """What a user's jobs of a project took in a window, with those that run now, and how many wait now.
 
     owner: empty without accounts. oldest_queued_s: for how long the oldest of those that wait has, since its
-    submission; None if none waits.
+    submission; None if none waits. bytes: of their jobs' files and of their models, now.
     """
 
     project: str
@@ -123,6 +123,7 @@ class ProjectUsage:
     gpu_seconds: float = 0.0
     queued: int = 0
     oldest_queued_s: float | None = None
+    bytes: int = 0
 
 
 @dataclass(frozen=True)
@@ -206,8 +207,8 @@ def usage_of(
 ) -> Usage:
     """The sums of the ledger, and of the attempts that run now.
 
-    ended: by project and user, from `since`, with what waits. devices: the seconds of each hour from `day`,
-    by host and device.
+    ended: by project and user, from `since`, with what waits and is stored. devices: the seconds of each hour
+    from `day`, by host and device.
     """
     projects, busy = dict(ended), {key: dict(hours) for key, hours in devices.items()}
     for attempt in running:
@@ -228,7 +229,7 @@ def usage_of(
     return Usage(
         since=since,
         until=until,
-        projects=sorted(projects.values(), key=lambda used: (-used.gpu_seconds, -used.seconds)),
+        projects=sorted(projects.values(), key=lambda used: (-used.gpu_seconds, -used.seconds, -used.bytes)),
         hours=hours,
         devices=[
             DeviceUsage(*where, [min(said.get(hour, 0.0), HOUR.total_seconds()) for hour in hours])

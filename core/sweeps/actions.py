@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from core.accounts.principal import NOBODYS, Ownership
 from core.errors import Problem, Rejected, StaleSweep, SweepFinished, SweepNotFinished, TooManySweeps
 from core.jobs.job import new_job_id
+from core.jobs.quotas import check_quotas
 from core.jobs.spec import JobSpec
 from core.jobs.store import Idempotency
 from core.jobs.submission import check_notify, check_readable_model, check_readable_source
@@ -35,7 +36,8 @@ def submit_sweep(
     """Store the sweep; the reconciler starts its trials. Or return the one that the same key created.
 
     An owner's sweep uses checkpoints and models of its own project alone, because its trials start when
-    nobody is there to ask. Raises Rejected, TooManySweeps, IdempotencyKeyReused, RecordsUnavailable.
+    nobody is there to ask. Raises Rejected, QuotaExceeded, TooManySweeps,
+    IdempotencyKeyReused, RecordsUnavailable.
     """
     _check_readable(spec, readable_by(ownership), store)
     try:
@@ -43,6 +45,9 @@ def submit_sweep(
     except Rejected as error:
         raise in_the_job(error) from None
     spec = checked(spec, store)
+    if idempotency is not None and (known := store.remembered_sweep(idempotency)) is not None:
+        return known
+    check_quotas(spec.job, ownership, store, with_queue=True)
     now = store.now()
     sweep = Sweep(
         id=new_job_id(now), spec=spec, created_at=now, owner=ownership.owner, project=ownership.project

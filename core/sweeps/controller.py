@@ -17,6 +17,7 @@ from core.errors import (
     JobFinished,
     JobNotFound,
     JobUnreadable,
+    QuotaExceeded,
     Rejected,
     StaleSweep,
     SweepNotFound,
@@ -26,6 +27,7 @@ from core.jobs import submission
 from core.jobs.ending import cancel
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
+from core.jobs.quotas import check_quotas
 from core.jobs.spec import JobSpec, TrainSpec
 from core.jobs.store import Dispatch
 from core.storage.objects import ObjectStore
@@ -41,20 +43,26 @@ log = structlog.get_logger()
 
 # A sweep for which nothing changes is looked at again after so long: budgets of GPU hours pass with time.
 _LOOK_ANYWAY_S = 60.0
+# One whose next trial waits for room in a quota: others make that room.
+_LOOK_FOR_ROOM_S = 5.0
 
 
 @dataclass(frozen=True)
 class _Settled:
-    """A sweep that needed nothing at a moment, and its mark then. prunes: its trials' events decide, too."""
+    """A sweep that needed nothing at a moment, and its mark then. prunes: its trials' events decide, too.
+
+    for_s: it is looked at again after so long.
+    """
 
     mark: SweepMark
     prunes: bool
     at_s: float
+    for_s: float
 
     def holds(self, mark: SweepMark) -> bool:
         """Whether it still needs nothing."""
         is_equal = mark == (self.mark if self.prunes else replace(self.mark, events=mark.events))
-        return is_equal and time.monotonic() - self.at_s < _LOOK_ANYWAY_S
+        return is_equal and time.monotonic() - self.at_s < self.for_s
 
 
 class SweepController:
@@ -95,7 +103,10 @@ class SweepController:
             log.exception("sweep_stuck", sweep=sweep.id)
             return 0
         if not decided:
-            self._settled[sweep.id] = _Settled(mark, sweep.spec.pruning is not None, time.monotonic())
+            # The message of a sweep that goes on says for which room its next trial waits.
+            for_s = _LOOK_ANYWAY_S if sweep.message is None else _LOOK_FOR_ROOM_S
+            prunes = sweep.spec.pruning is not None
+            self._settled[sweep.id] = _Settled(mark, prunes, time.monotonic(), for_s)
         return decided
 
     def _move_on(self, sweep: Sweep, trials: Sequence[Trial]) -> int:
@@ -103,12 +114,27 @@ class SweepController:
         with suppress(StaleSweep, SweepNotFound):  # Changed meanwhile: the next look sees how.
             sweep = self._with_importance(sweep, seen)
             decisions = advance(sweep, seen, lambda values: steps_of(sweep.spec, values, self._store))
-            started = [job for one in decisions if (job := self._carry_out(sweep, one)) is not None]
+            started, message, decided = list[Job](), None, 0
+            try:
+                for one in decisions:
+                    if (job := self._carry_out(sweep, one)) is not None:
+                        started.append(job)
+                    decided += 1
+            except QuotaExceeded as error:  # Starts come last, and those after this one wait with it.
+                message = f"Its next trial waits for room. {error.detail}"
             # After all are stored: the worker that gets the first may train the others together with it.
             for job in started:
                 self._hand_over(job)
-            return len(decisions)
+            return decided + self._say_why_it_waits(sweep, decisions, message)
         return 0
+
+    def _say_why_it_waits(self, sweep: Sweep, decisions: Sequence[Decision], message: str | None) -> bool:
+        """Store the sentence, or that there is none any more; whether it has changed."""
+        has_ended = any(isinstance(one, EndSweep) for one in decisions)
+        if has_ended or message == sweep.message:
+            return False
+        self._store.save_sweep(sweep.next(message=message))
+        return True
 
     def _judge(self, sweep: Sweep, trials: Sequence[Trial]) -> Sequence[Trial]:
         """The trials as their jobs are now; those that have ended are stored so."""
@@ -159,7 +185,10 @@ class SweepController:
         return None
 
     def _start(self, sweep: Sweep, start: StartTrial) -> Job | None:
-        """Store the trial with its job, and return that; or, where its values do not fit, as refused."""
+        """Store the trial with its job, and return that; or, where its values do not fit, as refused.
+
+        Raises QuotaExceeded.
+        """
         trial = Trial(
             number=start.number,
             job=None,
@@ -175,6 +204,7 @@ class SweepController:
                 spec = self._like_its_source(spec)
             spec = spec.model_copy(update={"labels": labels_of(sweep, start.number, spec.labels)})
             readable = readable_by(sweep.ownership)
+            check_quotas(spec, sweep.ownership, self._store)
             job = submission.new_job(spec, self._store, sweep.ownership, readable, correlation_id=sweep.id)
         except (ValidationError, Rejected) as error:
             refused = {"outcome": "refused", "message": _sentence(error), "finished_at": trial.created_at}

@@ -81,6 +81,7 @@ class SeenTrial:
 class Sweep(Stored):
     """The record. `version` rises by one with every step; the store refuses any other.
 
+    message: why it ended; while it runs, for which room its next trial waits, if it does.
     importance: by objective, the share of each axis in what makes trials differ; importance_note: why there
     is none. num_judged: the number of trials with values from which it was computed.
     """
@@ -139,6 +140,10 @@ class SweepStore(JobStore, Protocol):
         remembered as long as its sweep exists."""
         ...
 
+    def remembered_sweep(self, idempotency: Idempotency) -> Sweep | None:
+        """The sweep that an earlier submission with this key created, if any. Raises IdempotencyKeyReused."""
+        ...
+
     def num_active_sweeps(self) -> int:
         """How many have not ended."""
         ...
@@ -195,7 +200,8 @@ class SweepStore(JobStore, Protocol):
         """Store a trial with its job and the job's dispatch, all or nothing.
 
         False, and nothing changed, if the sweep has a trial of this number already or is not `running`. The
-        statement waits for a cancel under way, so that none starts after one.
+        statement waits for a cancel under way, so that none starts after one. Raises QuotaExceeded as
+        `JobStore.add` does.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""Users, projects, tokens and the audit log of a service with accounts."""
+"""Users, projects, tokens, quotas and the audit log."""
 
 from collections.abc import AsyncIterator, Sequence
 
@@ -8,6 +8,7 @@ from gaitway.schema import (
     AuditView,
     NewTokenView,
     ProjectView,
+    QuotaView,
     TokenView,
     UserView,
     WhoView,
@@ -81,6 +82,35 @@ class AsyncAccounts(AsyncConnection):
         document = {"add": [*add], "remove": [*remove]}
         answer = await self._request("PATCH", path_of("projects", project), json=document)
         return ProjectView.model_validate_json(answer.content)
+
+    async def quotas(self) -> Sequence[QuotaView]:
+        """Those that were set for oneself and one's projects, with what is used; an admin's call all."""
+        return await self._items("/quotas", QuotaView)
+
+    async def set_quota(  # noqa: PLR0913 # What a quota has.
+        self,
+        kind: str,
+        name: str,
+        *,
+        weight: float = 1.0,
+        running: int | None = None,
+        queued: int | None = None,
+        gpu_hours: float | None = None,
+        bytes: int | None = None,
+    ) -> QuotaView:
+        """Set the whole quota of a `user` or a `project`: what is None has no limit. For an admin.
+
+        weight: of its share where turns are given. running, queued: jobs at once. gpu_hours: in seven days.
+        Raises Rejected, NotFound.
+        """
+        document = {"weight": weight, "running": running, "queued": queued}
+        document |= {"gpu_hours": gpu_hours, "bytes": bytes}
+        answer = await self._request("PUT", path_of("quotas", kind, name), json=document)
+        return QuotaView.model_validate_json(answer.content)
+
+    async def remove_quota(self, kind: str, name: str) -> None:
+        """No limits any more, and a weight of 1. Raises NotFound where none was set."""
+        await self._request("DELETE", path_of("quotas", kind, name))
 
     async def worker_settings(self) -> WorkerSettingsView:
         """What a worker on another machine needs to join; for a token of the scope `worker` alone."""

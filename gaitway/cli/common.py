@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from typing import Annotated, Any, cast
 
 import typer
-from pydantic import BaseModel
+from pydantic import BaseModel, ByteSize
 from rich.text import Text
 from typer.core import TyperGroup
 
@@ -144,3 +144,8 @@ def _plain(document: Any) -> Any:
     if isinstance(document, list | tuple):
         return [_plain(item) for item in document]  # pyright: ignore[reportUnknownVariableType]
     return document
+
+
+def size(number: int) -> str:
+    """A number of bytes for people, such as 41.2 GB."""
+    return ByteSize(number).human_readable(decimal=True, separator=" ")

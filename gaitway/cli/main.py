@@ -14,6 +14,7 @@ from gaitway.cli import (
     files,
     jobs,
     models,
+    quotas,
     retention,
     service,
     submit,
@@ -93,6 +94,7 @@ app.add_typer(accounts.users, name="users")
 app.add_typer(accounts.projects, name="projects")
 app.add_typer(accounts.tokens, name="tokens")
 app.add_typer(retention.retention, name="retention")
+app.add_typer(quotas.quotas, name="quotas")
 app.add_typer(webhooks.webhooks, name="webhooks")
 app.add_typer(models.models, name="models")
 app.add_typer(sweeps.sweeps, name="sweeps")

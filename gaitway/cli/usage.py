@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, client_of, print_json, wrong_usage
+from gaitway.cli.common import AsJson, client_of, print_json, size, wrong_usage
 from gaitway.cli.terminal import Console
 from gaitway.schema import ProjectUsageView
 
@@ -22,7 +22,7 @@ def usage(
     ] = "1d",
     as_json: AsJson = False,
 ) -> None:
-    """Show the hours of GPUs, and of all workers, that each project and user has used."""
+    """Show what each project and user has used: hours of GPUs and of all workers, and the bytes stored."""
     found = client_of(context).usage(_moment(since))
     if as_json:
         print_json(found)
@@ -34,7 +34,7 @@ def usage(
     table = Table(box=None, pad_edge=False)
     table.add_column("PROJECT", overflow="fold")
     table.add_column("USER", overflow="fold")
-    for column in ("GPU HOURS", "HOURS", "ATTEMPTS", "JOBS ENDED", "RUNNING", "QUEUED"):
+    for column in ("GPU HOURS", "HOURS", "ATTEMPTS", "JOBS ENDED", "RUNNING", "QUEUED", "STORED"):
         table.add_column(column, justify="right")
     for used in found.projects:
         table.add_row(*map(Text, _row(used)))
@@ -44,7 +44,7 @@ def usage(
 def _row(used: ProjectUsageView) -> tuple[str, ...]:
     hours = (f"{seconds / 3600:,.2f}" for seconds in (used.gpu_seconds, used.seconds))
     numbers = map(str, (used.attempts, used.jobs, used.running, used.queued))
-    return (used.project, used.owner or "–", *hours, *numbers)
+    return (used.project, used.owner or "–", *hours, *numbers, size(used.bytes))
 
 
 def _moment(text: str) -> datetime:

@@ -1,5 +1,5 @@
 # Made by .ci/make_client.py: change gaitway/async_client/accounts.py instead.
-"""Users, projects, tokens and the audit log of a service with accounts."""
+"""Users, projects, tokens, quotas and the audit log."""
 
 from collections.abc import Iterator, Sequence
 
@@ -9,6 +9,7 @@ from gaitway.schema import (
     AuditView,
     NewTokenView,
     ProjectView,
+    QuotaView,
     TokenView,
     UserView,
     WhoView,
@@ -82,6 +83,35 @@ class Accounts(Connection):
         document = {"add": [*add], "remove": [*remove]}
         answer = self._request("PATCH", path_of("projects", project), json=document)
         return ProjectView.model_validate_json(answer.content)
+
+    def quotas(self) -> Sequence[QuotaView]:
+        """Those that were set for oneself and one's projects, with what is used; an admin's call all."""
+        return self._items("/quotas", QuotaView)
+
+    def set_quota(  # noqa: PLR0913 # What a quota has.
+        self,
+        kind: str,
+        name: str,
+        *,
+        weight: float = 1.0,
+        running: int | None = None,
+        queued: int | None = None,
+        gpu_hours: float | None = None,
+        bytes: int | None = None,
+    ) -> QuotaView:
+        """Set the whole quota of a `user` or a `project`: what is None has no limit. For an admin.
+
+        weight: of its share where turns are given. running, queued: jobs at once. gpu_hours: in seven days.
+        Raises Rejected, NotFound.
+        """
+        document = {"weight": weight, "running": running, "queued": queued}
+        document |= {"gpu_hours": gpu_hours, "bytes": bytes}
+        answer = self._request("PUT", path_of("quotas", kind, name), json=document)
+        return QuotaView.model_validate_json(answer.content)
+
+    def remove_quota(self, kind: str, name: str) -> None:
+        """No limits any more, and a weight of 1. Raises NotFound where none was set."""
+        self._request("DELETE", path_of("quotas", kind, name))
 
     def worker_settings(self) -> WorkerSettingsView:
         """What a worker on another machine needs to join; for a token of the scope `worker` alone."""

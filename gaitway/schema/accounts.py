@@ -1,4 +1,4 @@
-"""Users, projects, tokens, and the audit log."""
+"""Users, projects, tokens, quotas, and the audit log."""
 
 from collections.abc import Mapping
 from datetime import datetime
@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import Field
 
-from gaitway.schema.base import Role, TokenScope, View
+from gaitway.schema.base import QuotaKind, Role, TokenScope, View
 
 
 class WhoView(View):
@@ -84,6 +84,32 @@ class WorkerSettingsView(View):
 
     variables: Mapping[str, str]
     tls_ca: str | None = None
+
+
+class QuotaUseView(View):
+    """What is used of a quota. gpu_hours: of seven days, with what runs now; bytes: stored now."""
+
+    running: int = 0
+    queued: int = 0
+    gpu_hours: float = 0.0
+    bytes: int = 0
+
+
+class QuotaView(View):
+    """What a user or a project may have: kind is `user` or `project`; null: as much as they like.
+
+    weight: of its share where turns are given. running, queued: jobs at once. gpu_hours: in seven days.
+    bytes: of the files of jobs, and of models.
+    """
+
+    kind: QuotaKind
+    name: str = Field(examples=["gaits"])
+    weight: float = 1.0
+    running: int | None = None
+    queued: int | None = None
+    gpu_hours: float | None = None
+    bytes: int | None = None
+    used: QuotaUseView = QuotaUseView()
 
 
 class AuditView(View):

@@ -195,7 +195,7 @@ class ProjectUsageView(View):
 
     jobs, attempts: how many ended; running: attempts that run now. seconds: of all attempts; gpu_seconds:
     those, times the GPUs that each had. queued: jobs that wait now, the oldest for oldest_queued_s since its
-    submission; null if none waits.
+    submission; null if none waits. bytes: of the files of these jobs, and of models, that are stored now.
     """
 
     project: str
@@ -207,6 +207,7 @@ class ProjectUsageView(View):
     gpu_seconds: float = 0.0
     queued: int = 0
     oldest_queued_s: float | None = None
+    bytes: int = 0
 
 
 class DeviceUsageView(View):

@@ -58,7 +58,9 @@ class SweepView(View):
     owner: str | None = Field(None, description="A user's name; null without accounts.")
     project: str = "default"
     status: SweepStatus
-    message: str | None = Field(None, description="Why it ended, and how its trials did.")
+    message: str | None = Field(
+        None, description="Why it ended, and how its trials did; while it runs, why its next trial waits."
+    )
     created_at: datetime
     finished_at: datetime | None = None
     spec: dict[str, Any] = {}

@@ -28,6 +28,7 @@ OPEN |= {"POST /session/oidc", "GET /session/oidc"}
 FOR_ADMINS = {"GET /users", "POST /users", "PATCH /users/{name}", "GET /audit"}
 FOR_ADMINS |= {"POST /projects", "PATCH /projects/{name}"}
 FOR_ADMINS |= {"PUT /projects/{project}/retention", "DELETE /projects/{project}/retention"}
+FOR_ADMINS |= {"PUT /quotas/{kind}/{name}", "DELETE /quotas/{kind}/{name}"}
 FOR_WORKERS = "GET /workers/settings"
 FOR_VIEWERS = {"POST /tokens", "DELETE /tokens/{token_id}", "POST /projects/{project}/retention/preview"}
 ALL = sorted(name for router in ROUTERS for route in router.routes for name in names(route))
@@ -39,6 +40,7 @@ VALUES = {
     "{environment_id:path}": "ant",
     "{path:path}": "app.js",
     "{environment_id}": "ant",
+    "{kind}": "user",
     "{code}": "forbidden",
     "{step}": "1",
     "{delivery_id}": "1",

@@ -20,10 +20,12 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.patch import JobPatch
+from core.jobs.quotas import QuotaStore
 from core.jobs.retention import EndedJob, Removal, Retention, RetentionRules, RetentionStore
 from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
 from core.jobs.tallies import Tally
+from core.jobs.turns import Quota
 from core.jobs.usage import UsageStore
 from core.jobs.workers import WorkerStore
 from core.user_models.record import ModelStore
@@ -72,6 +74,9 @@ def calls(job: Job) -> Mapping[str, Call]:
         "take_turn": lambda jobs: jobs.take_turn(["q"], "w", now=NOW, lease=LEASE, secret="s"),
         "turn_facts": lambda jobs: jobs.turn_facts(),
         "quotas": lambda jobs: jobs.quotas(),
+        "quota_uses": lambda jobs: jobs.quota_uses(),
+        "set_quota": lambda jobs: jobs.set_quota("user", "ann", Quota(), Actor()),
+        "remove_quota": lambda jobs: jobs.remove_quota("user", "ann", Actor()),
         "queue_counts": lambda jobs: jobs.queue_counts(),
         "numbers": lambda jobs: jobs.numbers(),
         "usage": lambda jobs: jobs.usage(NOW),
@@ -179,7 +184,7 @@ def eventually(call: Callable[[], object]) -> object:
 
 
 def test_every_method_of_the_record_is_called_here() -> None:
-    kinds = (JobStore, ModelStore, RetentionStore, UsageStore, WorkerStore)
+    kinds = (JobStore, ModelStore, QuotaStore, RetentionStore, UsageStore, WorkerStore)
     methods = {name for kind in kinds for name in vars(kind) if not name.startswith("_")}
     assert methods == set(calls(queued_job().claimed("w", queued_job().created_at)))
 

@@ -106,6 +106,7 @@ def test_files_go_from_record_and_bucket_and_the_job_the_audit_log_and_a_refusal
     set_rules(job_store, checkpoints=1, videos_days=30)
     apply(job_store, object_store)
     assert names_of(job_store, job) == ["checkpoint-30", "policy", "replay"]
+    assert [used.bytes for used in job_store.usage(job_store.now()).projects] == [3]  # A byte each.
     assert {found.key for found in object_store.list("")} == set(job_store.objects_named([job.id]))
     assert notes_of(job_store, job) == [
         "By the retention rules of its project, `checkpoints` = 1 removed checkpoint-10, checkpoint-20; "

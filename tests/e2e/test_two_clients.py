@@ -94,6 +94,7 @@ def test_every_method_does_the_same(stack: Stack, client: Either, tmp_path: Path
     _bodies(stack, client, tmp_path)
     _sweeps(stack, client)
     _accounts(client)
+    _quotas(client)
     _webhooks(client)
     _retention(client)
     assert client.health() == {"status": "ok"}
@@ -255,6 +256,7 @@ def _accounts(client: Either) -> None:
         lambda: client.add_project("gaits"),
         lambda: client.change_members("gaits", add=["bob"]),
         lambda: client.worker_settings(),
+        lambda: client.set_quota("user", "bob"),
         lambda: list(client.audit()),
     ):
         with pytest.raises(Conflict, match="no accounts"):
@@ -272,6 +274,17 @@ def _retention(client: Either) -> None:
         client.set_retention(checkpoints=0)
     client.remove_retention()
     assert client.retention().set_at is None
+
+
+def _quotas(client: Either) -> None:
+    made = client.set_quota("project", "default", queued=0, gpu_hours=40.0)
+    assert (made.kind, made.weight, made.bytes) == ("project", 1.0, None)
+    with pytest.raises(Conflict, match="its quota of queued jobs is 0"):
+        client.submit(environment="ant")
+    assert [(found.name, found.queued) for found in client.quotas()] == [("default", 0)]
+    client.remove_quota("project", "default")
+    with pytest.raises(NotFound, match="No quota is set for the project default"):
+        client.remove_quota("project", "default")
 
 
 def _webhooks(client: Either) -> None:

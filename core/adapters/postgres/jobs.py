@@ -26,7 +26,7 @@ from sqlalchemy.dialects.postgresql import INTERVAL, insert
 from sqlalchemy.exc import DataError, IntegrityError
 
 from core.accounts.principal import Ownership
-from core.adapters.postgres import feeds, leases, listing, news, rows, sorting, usage
+from core.adapters.postgres import feeds, leases, listing, news, quotas, rows, sorting, usage
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.tables import (
     NOW,
@@ -39,7 +39,15 @@ from core.adapters.postgres.tables import (
     idempotency_keys,
     jobs,
 )
-from core.errors import IdempotencyKeyReused, JobExists, JobInUse, JobNotFound, JobUnreadable, StaleJob
+from core.errors import (
+    IdempotencyKeyReused,
+    JobExists,
+    JobInUse,
+    JobNotFound,
+    JobUnreadable,
+    QuotaExceeded,
+    StaleJob,
+)
 from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id
 from core.jobs.patch import JobPatch, patched
 from core.jobs.status import JobStatus
@@ -59,19 +67,31 @@ class JobQueries(Session):
 
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
         # A job that was never tried is one statement.
-        source = job.spec.source if job.status == JobStatus.QUEUED else None
-        is_more = bool(job.attempts or job.artifacts or source)
+        is_queued = job.status == JobStatus.QUEUED
+        source = job.spec.source if is_queued else None
+        is_limited = is_queued and self._limits_queue(job.ownership)
+        is_more = bool(job.attempts or job.artifacts or source or is_limited)
         try:
             with self._transaction() if is_more else self._statements() as connection:
                 if source is not None and not rows.hold_source(connection, source):
                     raise JobNotFound(source.job)
+                if is_limited:
+                    quotas.check_queue(connection, job.ownership)
                 if add_job(connection, job, idempotency):
                     return job
         except IntegrityError:
             raise JobExists(job.id) from None
+        except QuotaExceeded:  # Perhaps because an earlier call with the same key has added it.
+            if idempotency is not None and (known := self.remembered(idempotency)) is not None:
+                return known
+            raise
         assert idempotency is not None  # noqa: S101
         # None if the earlier job was deleted, and its key with it, between the two statements.
         return self.remembered(idempotency) or self.add(job, idempotency)
+
+    def _limits_queue(self, whose: Ownership) -> bool:
+        with self._statements() as connection:
+            return quotas.limits_queue(connection, whose)
 
     def import_job(
         self,

@@ -219,8 +219,9 @@ def _remove_files(
     gone = connection.execute(delete(artifacts).where(its).returning(artifacts.c.key)).scalars().all()
     now = connection.execute(select(NOW)).scalar_one()
     told = _added(before, removal, now)
-    changed = update(jobs).where(jobs.c.id == job_id).values(version=jobs.c.version + 1, removed=told)
-    connection.execute(changed)
+    left = select(func.coalesce(func.sum(artifacts.c.size), 0)).where(artifacts.c.job_id == job_id)
+    changes = {"version": jobs.c.version + 1, "removed": told, "bytes": left.scalar_subquery()}
+    connection.execute(update(jobs).where(jobs.c.id == job_id).values(changes))
     feeds.append(connection, job_id, "events", [note_entry(said_of(removal, rules))])
     return gone
 

@@ -95,6 +95,7 @@ CHANGING = (
     "token",
     "num_attempts",
     "queue",
+    "bytes",
 )
 
 
@@ -111,6 +112,7 @@ def job_values(job: Job) -> Values:
         "token": job.token,
         "num_attempts": len(job.attempts),
         "queue": queue_of(job),
+        "bytes": sum(artifact.size for artifact in job.artifacts),
     }
 
 

@@ -11,6 +11,7 @@ from core.adapters.postgres.jobs import JobQueries
 from core.adapters.postgres.leases import LeaseQueries
 from core.adapters.postgres.models import ModelQueries
 from core.adapters.postgres.news import NewsQueries, forget_old, forget_old_secrets
+from core.adapters.postgres.quotas import QuotaQueries
 from core.adapters.postgres.retention import RetentionQueries
 from core.adapters.postgres.sweeps import SweepQueries
 from core.adapters.postgres.tables import NOW, idempotency_keys, pulse, workers
@@ -29,6 +30,7 @@ class PostgresJobStore(
     FeedQueries,
     ModelQueries,
     NewsQueries,
+    QuotaQueries,
     RetentionQueries,
     SweepQueries,
     TurnQueries,

@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, any_, delete, func,
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
 from core.accounts.principal import Ownership
-from core.adapters.postgres import listing, news, rows
+from core.adapters.postgres import listing, news, quotas, rows
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.jobs import KEYS_REMEMBERED, add_job, hashed
 from core.adapters.postgres.listing import Part
@@ -39,6 +39,11 @@ class SweepQueries(Session):
     ) -> Sweep:
         with self._transaction() as connection:
             return _add(connection, sweep, idempotency, most_active)
+
+    def remembered_sweep(self, idempotency: Idempotency) -> Sweep | None:
+        is_remembered = sweeps.c.created_at > NOW - KEYS_REMEMBERED
+        with self._statements() as connection:
+            return _of_key(connection, idempotency, is_remembered)
 
     def num_active_sweeps(self) -> int:
         with self._statements() as connection:
@@ -168,6 +173,7 @@ class SweepQueries(Session):
                 if job.spec.source is not None:
                     # Where the source was deleted, the trial's attempt says so.
                     rows.hold_job(connection, job.spec.source.job)
+                quotas.check_queue(connection, job.ownership)
                 add_job(connection, job)
             connection.execute(insert(trials).values(sweep_id=sweep_id, **_trial_values(trial)))
             return True
@@ -203,9 +209,16 @@ def _add(
     if connection.execute(new.returning(sweeps.c.id)).first() is not None:
         _check_room(most_active, has_room=has_room)  # The insertion is rolled back.
         return sweep
-    row = connection.execute(select(sweeps).where(sweeps.c.key_hash == key_hash)).first()
-    if row is None:  # It was deleted between the two statements.
-        return _add(connection, sweep, idempotency, most_active)
+    # None if it was deleted between the two statements.
+    return _of_key(connection, idempotency) or _add(connection, sweep, idempotency, most_active)
+
+
+def _of_key(connection: Connection, idempotency: Idempotency, *conditions: Any) -> Sweep | None:
+    """Raises IdempotencyKeyReused."""
+    its = select(sweeps).where(sweeps.c.key_hash == hashed(idempotency), *conditions)
+    row = connection.execute(its).first()
+    if row is None:
+        return None
     if row.fingerprint != idempotency.fingerprint:
         raise IdempotencyKeyReused(idempotency.key)
     return _sweep(row)

@@ -118,6 +118,8 @@ jobs = Table(
     Column("queue", Text),
     Column("owner", Text),
     Column("project", Text, nullable=False, server_default="default"),
+    # Of all its files, so that sums over many jobs read none of them.
+    Column("bytes", BigInteger, nullable=False, server_default="0"),
     # Free space in each page: a renewed lease then touches no index.
     postgresql_with={"fillfactor": "80"},
 )
@@ -130,6 +132,13 @@ Index("jobs_by_name", jobs.c.name, jobs.c.id, postgresql_where=jobs.c.name.isnot
 Index("jobs_by_project", jobs.c.project, jobs.c.id)
 Index("jobs_by_owner", jobs.c.owner, jobs.c.id, postgresql_where=jobs.c.owner.isnot(None))
 Index("jobs_by_label", jobs.c.labels, postgresql_using="gin", postgresql_ops={"labels": "jsonb_path_ops"})
+Index(
+    "jobs_by_bytes",
+    jobs.c.project,
+    jobs.c.owner,
+    jobs.c.bytes,
+    postgresql_where=text("bytes > 0"),
+)
 UNFINISHED = ("queued", "starting", "running", "cancelling")
 _IS_UNFINISHED = text("status IN ('queued', 'starting', 'running', 'cancelling')")
 Index("jobs_queued", jobs.c.queue, jobs.c.id, postgresql_where=text("status = 'queued'"))

@@ -7,27 +7,23 @@ that a claim takes as long among ten thousand jobs as among ten.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, Row, TextClause, select, text
-from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy import Connection, Row, TextClause, text
 
-from core.accounts.store import Actor
-from core.adapters.postgres.accounts import note_audit
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.jobs import SAVE_AT_ONCE, save_job
-from core.adapters.postgres.rows import HELD, columns, find_job, readable
-from core.adapters.postgres.tables import quotas as quotas_table
+from core.adapters.postgres.quotas import quotas_of
+from core.adapters.postgres.rows import HELD, find_job, readable
 from core.adapters.postgres.usage import SHARES
 from core.errors import IllegalTransition, JobNotFound, StaleJob
 from core.jobs.job import Job
 from core.jobs.pools import GIVEN, Offer, choose_for
 from core.jobs.queue import PRIORITIES
 from core.jobs.slots import kind_of_queue
-from core.jobs.turns import Quota, Quotas, Request, Share, Started, TurnFacts, Who, in_order, standings_on
+from core.jobs.turns import Request, Share, Started, TurnFacts, Who, in_order, standings_on
 
 # Without sorting, PostgreSQL walks the index `jobs_turns` also where it has no statistics yet. Planning anew
 # for each claim would take half of its time.
@@ -94,7 +90,7 @@ _Group = tuple[str, int, Who]
 
 
 class TurnQueries(Session):
-    """The part of a JobStore that says which job is next, and what users and projects may have."""
+    """The part of a JobStore that says which job is next."""
 
     def take_turn(  # noqa: PLR0913 # Who, where, and what it is told.
         self,
@@ -133,17 +129,6 @@ class TurnQueries(Session):
     def turn_facts(self) -> TurnFacts:
         with self._statements() as connection:
             return _facts_of(connection.execute(_FACTS_OF_ALL, {"held": list(HELD)}).one())
-
-    def quotas(self) -> Quotas:
-        with self._statements() as connection:
-            return _quotas(columns(row) for row in connection.execute(select(quotas_table)))
-
-    def set_quota(self, kind: str, name: str, quota: Quota, actor: Actor) -> None:
-        values = asdict(quota)
-        write = insert(quotas_table).values(kind=kind, name=name, **values)
-        with self._transaction() as connection:
-            connection.execute(write.on_conflict_do_update(index_elements=["kind", "name"], set_=values))
-            note_audit(connection, actor, "quota.set", f"{kind} {name}", **values)
 
 
 def _take(
@@ -197,7 +182,7 @@ def _facts_of(found: Row[Any]) -> TurnFacts:
             Share(row["device"], (row["project"], row["owner"]), row["amount"], row["usual_s"])
             for row in found.shares
         ],
-        quotas=_quotas(found.quotas),
+        quotas=quotas_of(found.quotas),
     )
 
 
@@ -224,8 +209,3 @@ def _started(row: Mapping[str, Any]) -> Started:
     gpus = max(1, kind.gpus) * kind.hosts
     who, rank = (row["project"], row["owner"]), rank_of_queue(row["queue"])
     return Started(row["id"], who, device, gpus, row["age_s"], row["worker"], rank)
-
-
-def _quotas(found: Iterable[Mapping[str, Any]]) -> Quotas:
-    parts = ("weight", "running", "queued", "gpu_hours", "bytes")
-    return Quotas({(row["kind"], row["name"]): Quota(*(row[part] for part in parts)) for row in found})

@@ -1,13 +1,14 @@
 """The ledger, the sums of what workers count, and the numbers of the record for monitoring."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any
 
 from sqlalchemy import (
     Connection,
+    Text,
     and_,
     bindparam,
     case,
@@ -15,16 +16,28 @@ from sqlalchemy import (
     delete,
     func,
     literal,
+    or_,
     select,
     text,
     true,
     tuple_,
+    union_all,
 )
 from sqlalchemy.dialects.postgresql import JSONB, insert
 
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.rows import HELD, age_s, columns
-from core.adapters.postgres.tables import NOW, UNFINISHED, attempts, jobs, pulse, tallies, usage
+from core.adapters.postgres.tables import (
+    NOW,
+    UNFINISHED,
+    attempts,
+    jobs,
+    model_projects,
+    models,
+    pulse,
+    tallies,
+    usage,
+)
 from core.jobs.job import Job
 from core.jobs.pools import GIVEN
 from core.jobs.slots import kind_of_queue
@@ -45,6 +58,8 @@ from core.jobs.usage import (
     usage_of,
 )
 
+# Parameters of statements about one project and one owner; see `concerning`.
+PROJECT, OWNER = bindparam("project", type_=Text), bindparam("owner", type_=Text)
 _KEY = tuple(column.name for column in usage.primary_key)
 _SUMS = ("jobs", "attempts", "seconds", "gpu_seconds")
 # How many entries of one hour, whose hosts are forgotten, are merged at a time.
@@ -182,7 +197,7 @@ class UsageQueries(Session):
         with self._statements() as connection:
             moment = connection.execute(_MOMENT).one()
             unfinished = connection.execute(_UNFINISHED).all()
-            running = _running(connection)
+            running = running_attempts(connection)
             ended = connection.execute(_ENDED).all()
             counted = connection.execute(select(tallies)).all()
         return RecordNumbers(
@@ -201,8 +216,9 @@ class UsageQueries(Session):
             day = beginning_of_hour(now - DEVICES_SHOWN + HOUR)
             used = connection.execute(_USED, {"since": since}).all()
             busy = connection.execute(_BUSY, {"since": day}).all()
-            running = _running(connection)
+            running = running_attempts(connection)
             queued = connection.execute(_QUEUED).all()
+            stored = stored_bytes(connection)
         devices: dict[tuple[str, str], dict[datetime, float]] = defaultdict(dict)
         for row in busy:
             devices[row.host, row.device][row.hour] = row.seconds
@@ -210,6 +226,9 @@ class UsageQueries(Session):
         for row in queued:
             used_by = ended.get(who := (row.project, row.owner), ProjectUsage(*who))
             ended[who] = replace(used_by, queued=row.number, oldest_queued_s=row.oldest_s)
+        for row in stored:
+            used_by = ended.get(who := (row.project, row.owner), ProjectUsage(*who))
+            ended[who] = replace(used_by, bytes=row.bytes)
         return usage_of(ended, devices, running, since=since, day=day, until=now)
 
     def add_tallies(self, tallies: Sequence[Tally]) -> None:
@@ -222,7 +241,8 @@ class UsageQueries(Session):
             connection.execute(_TALLY, rows)
 
 
-def _running(connection: Connection) -> list[RunningAttempt]:
+def running_attempts(connection: Connection) -> list[RunningAttempt]:
+    """Those that hold a job now."""
     return [
         RunningAttempt(
             row.project,
@@ -234,3 +254,25 @@ def _running(connection: Connection) -> list[RunningAttempt]:
         )
         for row in connection.execute(_RUNNING)
     ]
+
+
+def stored_bytes(connection: Connection, who: Mapping[str, Any] | None = None) -> Sequence[Any]:
+    """The bytes of jobs' files and of models, by `project` and `owner`; who: as for `concerning`.
+
+    A job's row has the sum over its files, so that no row of a file is read.
+    """
+    files = select(jobs.c.project, jobs.c.owner, jobs.c.bytes).where(jobs.c.bytes > 0, *concerning(jobs, who))
+    of_models = (
+        select(model_projects.c.project, model_projects.c.owner, models.c.size.label("bytes"))
+        .join(models, models.c.id == model_projects.c.model_id)
+        .where(*concerning(model_projects, who))
+    )
+    found = union_all(files, of_models).subquery()
+    owner = func.coalesce(found.c.owner, "").label("owner")
+    wanted = select(found.c.project, owner, func.sum(found.c.bytes).label("bytes"))
+    return connection.execute(wanted.group_by(found.c.project, owner), who or {}).all()
+
+
+def concerning(table: Any, who: Mapping[str, Any] | None) -> Sequence[Any]:
+    """The condition for rows of either the project or the owner that the parameters name; none without."""
+    return [or_(table.c.project == PROJECT, table.c.owner == OWNER)] if who else []

@@ -460,6 +460,16 @@ def _of_webhook(method: str, part: str) -> Forms:
     return made
 
 
+def _quotas(service: Service, route: str) -> Iterator[Form]:
+    largest = {"weight": 1e6, "running": 2**31 - 1, "queued": 2**31 - 1, "gpu_hours": 1e9, "bytes": 2**63 - 1}
+    headers = {"Content-Type": _JSON}
+    yield Form(route, "", "PUT", "/quotas/project/default", (200,), _json(largest), headers)
+
+
+def _of_quota(service: Service, route: str) -> Iterator[Form]:
+    yield Form(route, "", "DELETE", "/quotas/project/none", (404,))
+
+
 _MEMBERS = [f"{n:063}" for n in range(1000)]
 _FORMS: dict[str, Forms] = {
     "GET /whoami": _get("/whoami"),
@@ -485,6 +495,9 @@ _FORMS: dict[str, Forms] = {
     "GET /projects/{project}/webhooks/{webhook}/deliveries": _of_webhook("GET", "/deliveries?limit=200"),
     "POST /deliveries/{delivery_id}/resend": _resend,
     "GET /jobs/{job_id}/deliveries": _of_import("/deliveries?limit=200"),
+    "GET /quotas": _get("/quotas"),
+    "PUT /quotas/{kind}/{name}": _quotas,
+    "DELETE /quotas/{kind}/{name}": _of_quota,
     "GET /workers/settings": _of_accounts("GET", "/workers/settings"),
     "GET /users": _of_accounts("GET", "/users"),
     "POST /users": _of_accounts("POST", "/users", name="u" * 63, projects=_MEMBERS[:100]),
