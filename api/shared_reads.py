@@ -118,7 +118,8 @@ class Turns:
             self._until = time.monotonic() + max(_TURNS_FOR_S, 20 * (time.monotonic() - began))
 
     def _forecast(self, workers: Sequence[WorkerInfo]) -> Mapping[str, TurnView]:
-        now, found = self._store.now(), forecasts_of(self._store.turn_facts(), workers)
+        now = self._store.now()
+        found = forecasts_of(self._store.turn_facts(), workers, self._store.rooms())
         return {
             job: TurnView(
                 before=one.before,

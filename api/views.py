@@ -21,6 +21,7 @@ from core.jobs.slots import WantedSlots
 from core.jobs.spec import SentSpec
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerInfo, what_it_waits_for
+from core.reasons import Reason
 from core.rendering.layout import TRACK
 from core.sweeps import pbt
 from core.sweeps.advance import num_trials
@@ -110,7 +111,7 @@ def job_view(
         finished_at=job.finished_at,
         not_before=job.not_before,
         waiting_for=None if workers is None else what_it_waits_for(job, workers),
-        turn=None if turns is None or job.status != JobStatus.QUEUED else turns.get(job.id),
+        turn=None if turns is None or job.status != JobStatus.QUEUED else _turn(job, turns.get(job.id)),
         owner=job.owner,
         project=job.project,
         sweep=sweep,
@@ -125,6 +126,14 @@ def job_view(
         spec=_SENT_SPEC.dump_python(job.spec, mode="json"),
         links=_links(job),
     )
+
+
+def _turn(job: Job, turn: TurnView | None) -> TurnView | None:
+    """A job that made room for another one says so while it waits."""
+    last = job.attempts[-1] if job.attempts else None
+    if turn is None or last is None or last.reason != Reason.PREEMPTED:
+        return turn
+    return turn.model_copy(update={"reason": f"{last.message} It goes on later. {turn.reason}"})
 
 
 def _unreadable_view(job: UnreadableJob, sweep: str | None) -> JobView:

@@ -11,6 +11,7 @@ class Reason(StrEnum):
     TIMEOUT = "timeout"
     WORKER_LOST = "worker_lost"
     WORKER_DRAINED = "worker_drained"
+    PREEMPTED = "preempted"
     TRAINING_KILLED = "training_killed"
     TRAINING_STALLED = "training_stalled"
     NATIVE_CRASH = "native_crash"

@@ -1,4 +1,4 @@
-"""Whether a worker must shut down, and why and by which signals a supervisor stops its training process.
+"""Whether an attempt must leave its device, and why and by which signals its training process is stopped.
 
 They have a module of their own because the process handles them before it loads anything slow.
 """
@@ -26,7 +26,9 @@ class Stop(StrEnum):
 
 
 class Draining:
-    """A plain flag, because a signal handler sets it.
+    """Whether an attempt must leave: its worker shuts down, or it makes room for another job.
+
+    A plain flag, because a signal handler sets it. room_for: in words, which job; None at a shutdown.
 
     threading.Event takes a lock both to set it and to wait for it. A handler may interrupt the main thread
     inside such a wait, or inside another handler; the thread would then wait for ever for a lock that it
@@ -35,6 +37,13 @@ class Draining:
 
     def __init__(self) -> None:
         self._asked_at: float | None = None
+        self.room_for: str | None = None
+
+    def make_room(self, room_for: str) -> None:
+        """Set it for another job; does nothing if it was set before."""
+        if not self.is_set():
+            self.room_for = room_for
+            self.set()
 
     def set(self, *_: object) -> None:
         """Also usable as a signal handler."""

@@ -13,6 +13,8 @@ from core.jobs.workers import WorkerInfo
 
 # A job that has run for longer than usual ends in about so many seconds.
 _OVERDUE_S = 60.0
+# In which time a job that makes room has kept its checkpoint and ended, if its epochs are short.
+_DRAIN_S = 15.0
 # Lanes of which it does not matter which one a job takes: their kinds and pool.
 _Alike = tuple[frozenset[str], str]
 
@@ -37,8 +39,13 @@ class Forecast:
     reason: str
 
 
-def forecasts_of(facts: TurnFacts, workers: Sequence[WorkerInfo]) -> Mapping[str, Forecast]:
-    """By the job's id, if there is a worker for it; the earlier one of a GPU's and a CPU's."""
+def forecasts_of(
+    facts: TurnFacts, workers: Sequence[WorkerInfo], rooms: Mapping[str, Sequence[str]]
+) -> Mapping[str, Forecast]:
+    """By the job's id, if there is a worker for it; the earlier one of a GPU's and a CPU's.
+
+    rooms: by the waiting job's id those that make room for it now, in words.
+    """
     found = dict[str, Forecast]()
     devices: Sequence[Device] = ("gpu", "cpu")
     for device in devices:
@@ -55,7 +62,14 @@ def forecasts_of(facts: TurnFacts, workers: Sequence[WorkerInfo]) -> Mapping[str
         for job, forecast in forecasts(requests, lanes, standings, mean_s).items():
             if job not in found or _start(forecast) < _start(found[job]):
                 found[job] = forecast
-    return found
+    return found | {job: _gets_room(found[job], rooms[job]) for job in rooms if job in found}
+
+
+def _gets_room(forecast: Forecast, drained: Sequence[str]) -> Forecast:
+    one, *more = drained
+    does = "make room for it, and go" if more else "makes room for it, and goes"
+    names = " and ".join([one[0].upper() + one[1:], *more])
+    return Forecast(0, min(_start(forecast), _DRAIN_S), f"{names} {does} on later.")
 
 
 def _lanes(pool: Pool, running: Sequence[Held]) -> Iterator[Lane]:

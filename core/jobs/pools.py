@@ -79,7 +79,7 @@ def pools_of(
     able = [worker for worker in workers if worker.takes_jobs and kind_of(worker.device) == device]
     members = defaultdict[str, list[WorkerInfo]](list)
     for worker in able:
-        members[name_of(worker.pool, worker.host) or worker.name].append(worker)
+        members[pool_of(worker)].append(worker)
     homes = {worker.name: name for name, group in members.items() for worker in group}
     gone = _pools_by_gpu(able)
     held = [
@@ -111,6 +111,11 @@ def _with_offer(offer: Offer, pools: Sequence[Pool]) -> Pool:
         if pool.name == offer.pool:
             return replace(pool, gpus=max(pool.gpus, free), free=free)
     return Pool(offer.pool, free, free, is_shared=True)
+
+
+def pool_of(worker: WorkerInfo) -> str:
+    """The name of its pool: that of its machine's GPUs, or its own."""
+    return name_of(worker.pool, worker.host) or worker.name
 
 
 def name_of(pool: str | None, host: str) -> str:

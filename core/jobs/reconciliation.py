@@ -45,7 +45,7 @@ class Reconciler:
 
         Takes held jobs whose lease has run out back from their workers. Hands over what waits and the queue
         does not have, as far as it has room: a dispatch that was committed and not handed over, and one that
-        the queue has forgotten.
+        the queue has forgotten. Tells running jobs to make room for others.
         """
         self._store.beat(self._lease)
         taken = [job for job in self._store.expired() if self._take_back(job)]
@@ -56,6 +56,8 @@ class Reconciler:
         handed = self._hand_over(self._lacking(late, known, busy), busy)
         self._missing = {one: since for one, since in self._missing.items() if one not in frozenset(handed)}
         self._store.dispatched([*heard, *handed])
+        for waiting, victims in self._store.make_room().items():
+            log.info("jobs_make_room", waiting=waiting, drained=list(victims))
         return len({*(job.id for job in taken), *(dispatch.subject for dispatch in handed)})
 
     def _take_back(self, job: Job) -> bool:

@@ -304,6 +304,11 @@ class TrainSpec(_Common):
     algorithm: AlgorithmSpec = cast("AlgorithmSpec", ALGORITHMS[DEFAULT_ALGORITHM].spec())
     checkpoints: CheckpointsSpec = CheckpointsSpec()
     resume_from: ResumePoint | None = None
+    preemptible: bool = Field(
+        default=False,
+        description="Whether it makes room for a job of the same priority whose user has used less of late; "
+        "it goes on later from where it stood. For jobs of higher priority every training makes room.",
+    )
     tracking: TrackingSpec = TrackingSpec()
 
     @model_validator(mode="after")

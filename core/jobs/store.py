@@ -191,6 +191,15 @@ class Dispatch:
 
 
 @dataclass(frozen=True)
+class Renewal:
+    """What an attempt hears when it renews its lease. room_for: in words, the job for which it must make
+    room; None if it may go on."""
+
+    status: JobStatus
+    room_for: str | None = None
+
+
+@dataclass(frozen=True)
 class Mark:
     """A job's version and the lengths of its feeds; a different mark means a change."""
 
@@ -364,6 +373,16 @@ class JobStore(ModelStore, NewsStore, QuotaStore, RetentionStore, UsageStore, Wo
         """
         ...
 
+    def make_room(self) -> Mapping[str, Sequence[str]]:
+        """Tell running jobs to make room for waiting ones, by `core.jobs.preemption`: their attempts hear of
+        it when they renew their leases. Returns by the waiting job's id those that were told. The choice and
+        the telling are one transaction; while another process is at it, nothing is done."""
+        ...
+
+    def rooms(self) -> Mapping[str, Sequence[str]]:
+        """By the waiting job's id those that make room for it now, in words for readers of its project."""
+        ...
+
     def turn_facts(self) -> TurnFacts:
         """What a forecast of the waiting jobs needs: reads all that wait, so ask now and then."""
         ...
@@ -376,8 +395,8 @@ class JobStore(ModelStore, NewsStore, QuotaStore, RetentionStore, UsageStore, Wo
         """Record that RQ has received these."""
         ...
 
-    def renew(self, job_id: str, token: str, lease: timedelta) -> JobStatus:
-        """Extend the lease of the attempt that holds the job; returns the job's status. Raises LeaseLost."""
+    def renew(self, job_id: str, token: str, lease: timedelta) -> Renewal:
+        """Extend the lease of the attempt that holds the job. Raises LeaseLost."""
         ...
 
     def record(

@@ -207,6 +207,16 @@ def why_left_to_others(job: Job, has: Collection[str], workers: Sequence[WorkerI
     return None
 
 
+def able_to_run(job: Job, workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
+    """The workers that could run the job once they are free, as far as they report what they have."""
+    packages, memory = packages_for(job), memory_for(job.spec)
+    return [
+        worker
+        for worker in _with_device(fitting(job, workers))
+        if not _missing(worker.packages, packages) and _has_memory(worker, memory)
+    ]
+
+
 def fitting(job: Job, workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
     """The workers that serve the job's queue."""
     queue = queue_of(job)

@@ -49,6 +49,7 @@ JOB_FIELDS = frozenset(
             "algorithm",
             "checkpoints",
             "resume_from",
+            "preemptible",
             "tracking",
         ),
         *("policy", "num_steps", "num_episodes", "deterministic"),
@@ -92,6 +93,10 @@ def submit(  # noqa: PLR0913 # A command line's options.
     notify: Annotated[
         list[str] | None, typer.Option(metavar="WEBHOOK", help="Told of this job; repeatable.")
     ] = None,
+    preemptible: Annotated[
+        bool,
+        typer.Option("--preemptible", help="Make room for users who have used less of late; go on later."),
+    ] = False,
     camera: Annotated[
         list[str] | None, typer.Option(help="`track` or one of the model's; several are shown side by side.")
     ] = None,
@@ -132,6 +137,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
             "name": name,
             "project": project,
             "notify": notify,
+            "preemptible": preemptible or None,
             "algorithm.num_timesteps": num_timesteps,
             **of_video,
         },

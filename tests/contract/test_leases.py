@@ -58,7 +58,7 @@ class TestLeases:
         claimed = held(jobs, queued_job())
         watch(jobs, database)
         database.end_lease(claimed)
-        assert jobs.renew(claimed.id, claimed.token, LEASE) == JobStatus.STARTING
+        assert jobs.renew(claimed.id, claimed.token, LEASE).status == JobStatus.STARTING
         assert list(jobs.expired()) == []
 
     def test_renewing_tells_of_a_cancel(self, jobs: JobStore, database: Database) -> None:
@@ -67,7 +67,7 @@ class TestLeases:
         jobs.save(running.become(JobStatus.CANCELLING))
         watch(jobs, database)
         database.end_lease(running)
-        assert jobs.renew(running.id, running.token, LEASE) == JobStatus.CANCELLING
+        assert jobs.renew(running.id, running.token, LEASE).status == JobStatus.CANCELLING
         assert list(jobs.expired()) == []
 
     def test_renewing_moves_no_version(self, jobs: JobStore) -> None:
@@ -153,7 +153,7 @@ class TestTakingBack:
             jobs.take_back(taken_back(found))
         assert jobs.get(claimed.id) == claimed
         assert jobs.undispatched() == []
-        assert jobs.renew(claimed.id, claimed.token, LEASE) == JobStatus.STARTING
+        assert jobs.renew(claimed.id, claimed.token, LEASE).status == JobStatus.STARTING
 
     def test_an_older_version_takes_nothing_back(self, jobs: JobStore, database: Database) -> None:
         claimed = held(jobs, queued_job())

@@ -280,7 +280,7 @@ class TestAttempts:
         claim = take(secret="mine")
         assert claim is not None
         assert jobs.get(job.id) == claimed
-        assert jobs.renew(job.id, claim.token, LEASE) == JobStatus.STARTING
+        assert jobs.renew(job.id, claim.token, LEASE).status == JobStatus.STARTING
 
     def test_a_claim_that_broke_off_is_open_to_all(
         self, unsure: Unsure, jobs: PostgresJobStore, objects: MemoryObjectStore

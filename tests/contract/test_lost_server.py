@@ -72,6 +72,8 @@ def calls(job: Job) -> Mapping[str, Call]:
         "name_model": lambda jobs: jobs.name_model(MODEL, "a dog"),
         "waiting": lambda jobs: jobs.waiting(),
         "take_turn": lambda jobs: jobs.take_turn(["q"], "w", now=NOW, lease=LEASE, secret="s"),
+        "make_room": lambda jobs: jobs.make_room(),
+        "rooms": lambda jobs: jobs.rooms(),
         "turn_facts": lambda jobs: jobs.turn_facts(),
         "quotas": lambda jobs: jobs.quotas(),
         "quota_uses": lambda jobs: jobs.quota_uses(),

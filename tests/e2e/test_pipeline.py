@@ -4,6 +4,7 @@ import json
 import os
 import re
 import signal
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,13 @@ SMALL: dict[str, Any] = {
 # The same training; what it looks like says nothing of its bits.
 UNFILMED: dict[str, Any] = {**SMALL, "video": None}
 
+URGENT: dict[str, Any] = {
+    "environment": "inverted_pendulum",
+    "num_steps": 10,
+    "video": None,
+    "priority": "high",
+}
+
 # What a training job keeps in any case.
 KEPT = {
     *("checkpoint", "export", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory"),
@@ -76,6 +84,11 @@ def until_checkpoint(client: Client, job: JobView) -> tuple[list[Event], int]:
             break
     pid = next(e.data["pid"] for e in seen if e.kind == "phase" and e.data["name"] == "process")
     return seen, int(pid)
+
+
+def steps_of(client: Client, job: str, until: datetime) -> list[int]:
+    """Those of which there were metrics by then."""
+    return [e.data["step"] for e in client.events(job) if e.kind == "metrics" and e.time < until]
 
 
 def rolled_out(client: Client, trained: JobView, **own: Any) -> JobView:
@@ -277,6 +290,28 @@ def test_a_killed_training_process_changes_nothing_in_the_result(
     assert [attempt.reason for attempt in ended.attempts] == ["training_killed", "completed"]
     assert ended.attempts[1].details["resumed_at_step"] > 0
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
+
+
+def test_a_training_that_makes_room_goes_on_later_and_changes_nothing_in_the_result(
+    client: Client, undisturbed: JobView
+) -> None:
+    job = client.submit({**UNFILMED, "priority": "low"})
+    until_checkpoint(client, job)
+    urgent = client.submit({"kind": "rollout", "policy": {"kind": "zero"}, **URGENT})
+    ended = client.wait(urgent.id, timeout=110)
+    assert ended.started_at is not None
+    assert (ended.started_at - urgent.created_at).total_seconds() < 15
+    waited = client.wait(job.id, timeout=110)
+    assert [attempt.reason for attempt in waited.attempts] == ["preempted", "completed"]
+    first, second = waited.attempts
+    assert first.message == f"It made room for job {urgent.id}. The work up to then is kept."
+    assert first.ended_at is not None
+    # The worker lives on, and the urgent job has its turn before the one that made room.
+    assert first.worker == second.worker == ended.attempts[0].worker
+    assert first.ended_at <= ended.started_at <= second.started_at
+    # It goes on from the last step that was done.
+    assert second.details["resumed_at_step"] == max(steps_of(client, job.id, until=second.started_at))
+    assert final_checkpoint(waited) == final_checkpoint(undisturbed)
 
 
 @pytest.mark.extra

@@ -31,6 +31,7 @@ from tests.faults.bench import unused_servers, wait_until
 from tests.faults.outages import Outages, Watch, pooled, submitted
 from tests.feeds import read_feed
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
+from worker.stopping import Draining
 from worker.supervision.watching import Heartbeat
 
 pytestmark = pytest.mark.extra
@@ -55,7 +56,7 @@ class Fleet:
         self._watches = [Watch(self._connected(url), self.queue, lease, every_s=0.2) for _ in range(2)]
         settings = unused_servers(data_dir).model_copy(update={"lease": lease, "heartbeat": self.heartbeat})
         self.claims = [self._hold() for _ in range(NUM_JOBS)]
-        self._hearts = {claim.job_id: Heartbeat(claim, settings) for claim in self.claims}
+        self._hearts = {claim.job_id: Heartbeat(claim, settings, Draining()) for claim in self.claims}
 
     def __enter__(self) -> "Fleet":
         self._stack.callback(self._end_hearts)
@@ -210,7 +211,7 @@ def test_a_silence_between_a_pulse_and_the_look_at_the_leases_costs_nobody_a_job
 
     monkeypatch.setattr(store, "expired", after_a_silence)
     reconciler.run_once()
-    assert store.renew(claim.job_id, claim.token, SHORT) == JobStatus.STARTING
+    assert store.renew(claim.job_id, claim.token, SHORT).status == JobStatus.STARTING
 
 
 class Service:

@@ -183,7 +183,7 @@ def test_nothing_changes_but_the_dispatch(service: Service) -> None:
     # The attempts that hold their jobs do not even notice.
     for name in ("running", "cancelling"):
         claim = claims[name]
-        assert service.store.renew(claim.job_id, claim.token, LEASE) == name
+        assert service.store.renew(claim.job_id, claim.token, LEASE).status == name
     assert claims["running"].end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done.").status == "succeeded"
     assert claims["cancelling"].give_back(Reason.WORKER_DRAINED, "Shut down.").status == "cancelled"
 

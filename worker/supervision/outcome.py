@@ -39,10 +39,12 @@ def judge(
     timeout_s: float,
     *,
     memory_ran_out: bool = False,
+    room_for: str | None = None,
 ) -> Outcome:
     """The outcome, from the process's last message, its exit status and the stop that it was asked for.
 
     exit_status: negative: the signal that ended it. memory_ran_out: the kernel was killing for memory then.
+    room_for: for which job it drained, as in `Draining`.
     """
     if isinstance(last_word, Failed):
         # Only a part on another host fails by a drain: it had not started yet.
@@ -67,9 +69,16 @@ def judge(
                 f"It took longer than timeout_s allows: {timeout_s:g} s. {kept}",
             )
         case Stop.DRAIN:
-            return Outcome(None, Reason.WORKER_DRAINED, f"The worker was shut down. {kept}")
+            return drained(room_for, f". {kept}")
         case None:
             return _crashed(exit_status, memory_ran_out=memory_ran_out)
+
+
+def drained(room_for: str | None, rest: str) -> Outcome:
+    """The outcome of an attempt that left its device. rest: of the sentence."""
+    if room_for is None:
+        return Outcome(None, Reason.WORKER_DRAINED, f"The worker was shut down{rest}")
+    return Outcome(None, Reason.PREEMPTED, f"It made room for {room_for}{rest}")
 
 
 def _crashed(exit_status: int, *, memory_ran_out: bool) -> Outcome:

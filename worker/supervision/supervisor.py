@@ -43,7 +43,7 @@ from worker.stopping import DRAIN_SIGNAL, STOP_SIGNAL, Draining, Stop
 from worker.supervision.measurements import store_metrics
 from worker.supervision.other_hosts import OtherHosts
 from worker.supervision.outbox import Outbox
-from worker.supervision.outcome import Outcome, judge
+from worker.supervision.outcome import Outcome, drained, judge
 from worker.supervision.spool import SPOOLS, end, leave, private, spool
 from worker.supervision.starting_point import write_task
 from worker.supervision.story import Story, ending, timed
@@ -68,10 +68,10 @@ _TOLD_WITHIN_S = 1.0
 class Supervisor:
     """Runs one claimed attempt.
 
-    draining: set, also by a signal handler, once the worker must shut down; the job then keeps a checkpoint
-    and is given back. device_test: the program that tests the device after a failure that it may have caused.
-    gang: the other hosts, connected, where several share the job. held: the devices' locks, if they were
-    taken before; it releases them. tallies: gathers for monitoring.
+    draining: set, also by a signal handler, once the worker must shut down, or the job makes room for
+    another; it then keeps a checkpoint and is given back. device_test: the program that tests the device
+    after a failure that it may have caused. gang: the other hosts, connected, where several share the job.
+    held: the devices' locks, if they were taken before; it releases them. tallies: gathers for monitoring.
     Afterwards the job has ended or is back in the queue, and no process and no spool is left.
     """
 
@@ -93,7 +93,7 @@ class Supervisor:
         caches = Caches(self.claim.objects, self.settings, self.device, own, private(own))
         report = Report(self.tallies, self.claim.store.add_tallies)
         try:
-            with Heartbeat(self.claim, self.settings, report.if_due) as heartbeat:
+            with Heartbeat(self.claim, self.settings, self.draining, report.if_due) as heartbeat:
                 outcome = self._outcome(heartbeat, caches, folder, own)
                 self._tell(outcome)
                 self._conclude(outcome)
@@ -107,8 +107,7 @@ class Supervisor:
             with spool(own):
                 return self._attempt(heartbeat, caches, folder, own)
         except CalledOff:
-            message = "The worker was shut down before it had started the job."
-            return Outcome(None, Reason.WORKER_DRAINED, message)
+            return drained(self.draining.room_for, " before it had started the job.")
         except SlotTaken as error:
             # The worker takes no further job before the device is free.
             with suppress(OSError):  # No room for it: the next job waits for the device, too.
@@ -174,7 +173,7 @@ class Supervisor:
         self._is_told = True
         if not outbox.close(_STORAGE_TIMEOUT_S, self._must_leave(_LAST_S)):
             outbox.abandon()
-            return _not_stored(leaving())
+            return _not_stored(self.draining)
         # A new one, of a name that no training can have foreseen; it goes with the spool.
         path = spool / f".metrics-{secrets.token_hex(8)}"
         try:
@@ -226,7 +225,14 @@ class Supervisor:
             readers.caches.keep()
         if stop is None and self._was_told_to_leave(readers.last_word, status):
             stop = Stop.DRAIN
-        return judge(readers.last_word, status, stop, timeout_s, memory_ran_out=memory_ran_out)
+        return judge(
+            readers.last_word,
+            status,
+            stop,
+            timeout_s,
+            memory_ran_out=memory_ran_out,
+            room_for=self.draining.room_for,
+        )
 
     def _was_told_to_leave(self, last_word: Failed | Finished | None, status: int) -> bool:
         """Whether a signal to all processes of the worker ended the training, before it was asked to drain.
@@ -353,12 +359,11 @@ class OutputReaders:
             self.outbox.put(told)
 
 
-def _not_stored(is_leaving: bool) -> Outcome:
+def _not_stored(draining: Draining) -> Outcome:
     """The outcome of an attempt whose results could not be stored."""
     why = "PostgreSQL or the object store was unavailable, or refused; the worker's log says which"
-    if is_leaving:
-        message = f"The worker was shut down before everything was stored: {why}."
-        return Outcome(None, Reason.WORKER_DRAINED, message)
+    if draining.is_set():
+        return drained(draining.room_for, f" before everything was stored: {why}.")
     hours = _STORAGE_TIMEOUT_S / 3600
     message = f"The results could not be stored for {hours:.0f} hours: {why}."
     return Outcome(None, Reason.STORAGE_UNAVAILABLE, message)

@@ -1,8 +1,8 @@
 """Watches a training process.
 
-The lease of its job is renewed while it runs, and a cancellation is noticed. A process that hangs is noticed,
-too: it is silent for far longer than ever before, or was stopped. What it writes into the log is limited, so
-that a flood fills no disk.
+The lease of its job is renewed while it runs, and a cancellation is noticed, or that it must make room. A
+process that hangs is noticed, too: it is silent for far longer than ever before, or was stopped. What it
+writes into the log is limited, so that a flood fills no disk.
 """
 
 import threading
@@ -19,6 +19,7 @@ from core.jobs.attempts import Claim
 from core.jobs.status import JobStatus
 from core.settings import WorkerSettings
 from worker.host.processes import processes
+from worker.stopping import Draining
 
 log = structlog.get_logger()
 # It is ended after many times its own longest silence: rendering on a busy machine may take minutes.
@@ -38,16 +39,21 @@ _MAX_WAITING = 20_000
 class Heartbeat:
     """A thread that renews the lease. It waits out an outage of the store; then the token decides.
 
-    after_beat: called after each renewal.
+    draining: set once the attempt must make room for another job. after_beat: called after each renewal.
     """
 
     def __init__(
-        self, claim: Claim, settings: WorkerSettings, after_beat: Callable[[], None] = lambda: None
+        self,
+        claim: Claim,
+        settings: WorkerSettings,
+        draining: Draining,
+        after_beat: Callable[[], None] = lambda: None,
     ) -> None:
         self.cancelled = threading.Event()
         self.lost = threading.Event()
         self._claim = claim
         self._settings = settings
+        self._draining = draining
         self._after_beat = after_beat
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
@@ -63,7 +69,7 @@ class Heartbeat:
     def _beat(self) -> None:
         while not self._over.is_set() and not self.lost.is_set():
             try:
-                status = self._claim.store.renew(self._claim.job_id, self._claim.token, self._settings.lease)
+                found = self._claim.store.renew(self._claim.job_id, self._claim.token, self._settings.lease)
             except Unavailable as error:
                 log.warning("heartbeat_missed", error=error.detail)
             except LeaseLost:
@@ -71,8 +77,10 @@ class Heartbeat:
             except Exception as error:  # A bug of ours must not cost the job its lease.
                 log.error("heartbeat_failed", error=repr(error))
             else:
-                if status == JobStatus.CANCELLING:
+                if found.status == JobStatus.CANCELLING:
                     self.cancelled.set()
+                elif found.room_for is not None:
+                    self._draining.make_room(found.room_for)
                 self._after_beat()
             self._over.wait(self._settings.heartbeat.total_seconds())
 

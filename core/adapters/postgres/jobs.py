@@ -286,7 +286,7 @@ def _new_key() -> Any:
 
 
 def _save() -> Any:
-    """A lease belongs to the present attempt; a change of hands ends the one before."""
+    """A lease and a drain belong to the present attempt; a change of hands ends those of the one before."""
     changed = {name: bindparam(f"new_{name}", type_=jobs.c[name].type) for name in rows.CHANGING}
     lease = bindparam("lease", type_=INTERVAL)
     kept = case(
@@ -294,13 +294,14 @@ def _save() -> Any:
         (lease.is_not(None), NOW + lease),
         (jobs.c.token == changed["token"], jobs.c.lease_until),
     )
+    drains = case((jobs.c.token == changed["token"], jobs.c.yields_to))
     saved = bindparam("saved", type_=Text)
     status = select(jobs.c.status).where(jobs.c.id == saved).scalar_subquery()
     has_artifacts = exists().where(artifacts.c.job_id == saved)
     return (
         update(jobs)
         .where(jobs.c.id == saved, jobs.c.version == bindparam("version_before", type_=Integer))
-        .values({**changed, "lease_until": kept})
+        .values({**changed, "lease_until": kept, "yields_to": drains})
         .returning(status.label("status"), has_artifacts.label("has_artifacts"))
     )
 

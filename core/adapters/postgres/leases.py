@@ -42,7 +42,7 @@ from core.jobs.job import Job, UnreadableJob
 from core.jobs.queue import MODELS, MOST_WAITING, SEVERAL_HOSTS, all_queues
 from core.jobs.slots import QueueCount
 from core.jobs.status import JobStatus
-from core.jobs.store import Dispatch
+from core.jobs.store import Dispatch, Renewal
 
 log = structlog.get_logger()
 
@@ -66,17 +66,30 @@ _HELD_BACK = text("""
 """)
 
 
+# Whether the job to which an updated one yields belongs to the same project.
+_WAITING = jobs.alias("waiting")
+_IS_OF_ITS_PROJECT = (
+    select(_WAITING.c.id)
+    .where(_WAITING.c.id == jobs.c.yields_to, _WAITING.c.project == jobs.c.project)
+    .correlate(jobs)
+    .exists()
+    .label("is_of_its_project")
+)
+
+
 class LeaseQueries(Session):
     """The part of a JobStore that decides who works on a job."""
 
-    def renew(self, job_id: str, token: str, lease: timedelta) -> JobStatus:
+    def renew(self, job_id: str, token: str, lease: timedelta) -> Renewal:
         held = update(jobs).where(jobs.c.id == job_id, jobs.c.token == token, jobs.c.token != "")
-        renewed = held.values(lease_until=NOW + interval(lease)).returning(jobs.c.status)
+        renewed = held.values(lease_until=NOW + interval(lease))
+        told = renewed.returning(jobs.c.status, jobs.c.yields_to, _IS_OF_ITS_PROJECT)
         with self._statements() as connection:
-            status = connection.execute(renewed).scalar()
-        if status is None:
+            row = connection.execute(told).first()
+        if row is None:
             raise LeaseLost(job_id)
-        return JobStatus(status)
+        room_for = None if row.yields_to is None else in_words(row.yields_to, row.is_of_its_project)
+        return Renewal(JobStatus(row.status), room_for)
 
     def expired(self) -> Iterable[Job]:
         wanted = select(jobs).where(jobs.c.status.in_(HELD), is_over()).order_by(jobs.c.id)
@@ -136,6 +149,11 @@ class LeaseQueries(Session):
         if dispatches:
             with self._statements() as connection:
                 connection.execute(_REMOVE, [asdict(dispatch) for dispatch in dispatches])
+
+
+def in_words(job_id: str, is_of_its_project: bool) -> str:
+    """A job, for readers of one project: nothing of the jobs of others is shown to them."""
+    return f"job {job_id}" if is_of_its_project else "a job of another project"
 
 
 def is_over() -> Any:

@@ -31,7 +31,7 @@ from core.errors import JobNotFound, JobUnreadable
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
 from core.jobs.patch import JobPatch
 from core.jobs.queue import queue_of
-from core.jobs.spec import JOB_SPEC, Source
+from core.jobs.spec import JOB_SPEC, Source, TrainSpec
 from core.jobs.status import JobStatus
 
 Values = dict[str, Any]
@@ -128,6 +128,7 @@ def new_job_values(job: Job) -> Values:
         "labels": spec.labels,
         "note": spec.note,
         "model": _text(spec.environment.options.get("model")),
+        "preemptible": isinstance(spec, TrainSpec) and spec.preemptible,
         "source": None if spec.source is None else spec.source.job,
         "source_step": None if spec.source is None else spec.source.step,
         "spec": json.dumps(job.model_dump(mode="json", include={"spec"})["spec"]),

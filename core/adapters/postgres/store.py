@@ -11,6 +11,7 @@ from core.adapters.postgres.jobs import JobQueries
 from core.adapters.postgres.leases import LeaseQueries
 from core.adapters.postgres.models import ModelQueries
 from core.adapters.postgres.news import NewsQueries, forget_old, forget_old_secrets
+from core.adapters.postgres.preemption import PreemptionQueries
 from core.adapters.postgres.quotas import QuotaQueries
 from core.adapters.postgres.retention import RetentionQueries
 from core.adapters.postgres.sweeps import SweepQueries
@@ -30,6 +31,7 @@ class PostgresJobStore(
     FeedQueries,
     ModelQueries,
     NewsQueries,
+    PreemptionQueries,
     QuotaQueries,
     RetentionQueries,
     SweepQueries,

@@ -116,6 +116,9 @@ jobs = Table(
     Column("last_write", Text),
     # The name of RQ's queue for its next attempt; null where an older version wrote the row.
     Column("queue", Text),
+    Column("preemptible", Boolean, nullable=False, server_default="false"),
+    # The waiting job for which the attempt that holds it drains.
+    Column("yields_to", Text),
     Column("owner", Text),
     Column("project", Text, nullable=False, server_default="default"),
     # Of all its files, so that sums over many jobs read none of them.
@@ -151,6 +154,7 @@ Index(
     postgresql_where=text("status = 'queued'"),
 )
 Index("jobs_unfinished", jobs.c.id, postgresql_where=_IS_UNFINISHED)
+Index("jobs_yielding", jobs.c.yields_to, postgresql_where=jobs.c.yields_to.isnot(None))
 Index("jobs_by_source", jobs.c.source, postgresql_where=_IS_UNFINISHED)
 
 

@@ -70,7 +70,7 @@ _WAITING = """
 """
 
 
-def _facts(waiting: str) -> TextClause:
+def facts_query(waiting: str) -> TextClause:
     """All that a choice needs by one statement: a round trip for each part would take most of its time."""
     parts = {"waiting": waiting, "started": _RUNNING, "shares": SHARES, "quotas": "SELECT * FROM quotas"}
     columns = (
@@ -80,7 +80,7 @@ def _facts(waiting: str) -> TextClause:
     return text(f"SELECT {', '.join(columns)}")
 
 
-_FACTS_OF_CLAIM, _FACTS_OF_ALL, _NEXT_HEADS = _facts(_HEADS), _facts(_WAITING), text(_HEADS)
+_FACTS_OF_CLAIM, _FACTS_OF_ALL, _NEXT_HEADS = facts_query(_HEADS), facts_query(_WAITING), text(_HEADS)
 # After so many jobs of one queue and user that it cannot run, a worker looks at those of others.
 _MOST_UNFIT_OF_ONE = 10
 # After so many of all users, one job of each is enough: other claims wait meanwhile.
@@ -120,15 +120,15 @@ class TurnQueries(Session):
             found = connection.execute(_FACTS_OF_CLAIM, asked).one()
             if mine := [row["id"] for row in found.started if row["token"].endswith(f"-{secret}")]:
                 return readable(find_job(connection, mine[0]))  # The answer to an earlier call was lost.
-            facts = _facts_of(found)
+            facts = facts_of(found)
             if any(quota.running is not None for quota in facts.quotas.by_party.values()):
                 connection.execute(_ALONE)
-                facts = _facts_of(connection.execute(_FACTS_OF_CLAIM, asked).one())
+                facts = facts_of(connection.execute(_FACTS_OF_CLAIM, asked).one())
             return _take(connection, asked, facts, claim, offer)
 
     def turn_facts(self) -> TurnFacts:
         with self._statements() as connection:
-            return _facts_of(connection.execute(_FACTS_OF_ALL, {"held": list(HELD)}).one())
+            return facts_of(connection.execute(_FACTS_OF_ALL, {"held": list(HELD)}).one())
 
 
 def _take(
@@ -174,10 +174,10 @@ def _group(waiting: Request) -> _Group:
     return waiting.kind, waiting.rank, waiting.who
 
 
-def _facts_of(found: Row[Any]) -> TurnFacts:
+def facts_of(found: Row[Any]) -> TurnFacts:
     return TurnFacts(
         waiting=[_request(row) for row in found.waiting],
-        started=[_started(row) for row in found.started],
+        started=[started_of(row) for row in found.started],
         shares=[
             Share(row["device"], (row["project"], row["owner"]), row["amount"], row["usual_s"])
             for row in found.shares
@@ -203,7 +203,7 @@ def rank_of_queue(queue: str | None) -> int:
     return PRIORITIES.index(priority) if priority in PRIORITIES else len(PRIORITIES)
 
 
-def _started(row: Mapping[str, Any]) -> Started:
+def started_of(row: Mapping[str, Any]) -> Started:
     kind = kind_of_queue(row["queue"])
     device = "gpu" if ":gpu" in row["worker"] else "cpu"  # As a worker names itself.
     gpus = max(1, kind.gpus) * kind.hosts

@@ -6,7 +6,7 @@ from typing import Any
 
 import structlog
 from pydantic import ValidationError
-from sqlalchemy import Row, and_, delete, func, select
+from sqlalchemy import Connection, Row, and_, delete, func, select
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
 from core.adapters.postgres.engine import Session
@@ -47,7 +47,7 @@ class WorkerQueries(Session):
 
     def workers(self) -> Sequence[WorkerInfo]:
         with self._statements() as connection:
-            return _readable(connection.execute(_PRESENT).all())
+            return present(connection)
 
     def list_workers(self, *, cursor: str | None = None, limit: int = 50) -> WorkerPage:
         after = None if cursor is None else check_worker_cursor(cursor)
@@ -55,6 +55,11 @@ class WorkerQueries(Session):
         with self._statements() as connection:
             rows = connection.execute(wanted.limit(limit + 1)).all()
         return WorkerPage(_readable(rows[:limit]), rows[limit - 1].name if len(rows) > limit else None)
+
+
+def present(connection: Connection) -> list[WorkerInfo]:
+    """Those whose time is not over, ordered by name."""
+    return _readable(connection.execute(_PRESENT).all())
 
 
 def _readable(rows: Sequence[Row[Any, Any, Any]]) -> list[WorkerInfo]:

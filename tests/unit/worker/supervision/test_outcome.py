@@ -73,3 +73,9 @@ def test_a_crash_beside_a_kill_for_memory_stays_a_crash() -> None:
 def test_who_had_nothing_new_to_keep_is_not_said_to_be_killed() -> None:
     assert "killed" in judge(None, -9, Stop.DRAIN, timeout_s=60).message
     assert "killed" not in judge(None, -DRAIN_SIGNAL, Stop.DRAIN, timeout_s=60).message
+
+
+def test_an_attempt_that_made_room_says_for_which_job() -> None:
+    outcome = judge(Finished(stopped=True), 0, Stop.DRAIN, timeout_s=60, room_for="job a")
+    message = "It made room for job a. The work up to then is kept."
+    assert (outcome.status, outcome.reason, outcome.message) == (None, Reason.PREEMPTED, message)

@@ -1,0 +1,125 @@
+"""Running jobs that are told to make room for waiting ones; `core.jobs.preemption` decides.
+
+What is decided is written into the row of the job that makes room: its attempt hears of it at the next
+heartbeat, and by the end of the attempt it is forgotten.
+"""
+
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from sqlalchemy import Connection, Row, text
+
+from core.adapters.postgres import workers
+from core.adapters.postgres.engine import Session
+from core.adapters.postgres.leases import in_words
+from core.adapters.postgres.rows import HELD, columns, find_job
+from core.adapters.postgres.turns import facts_of, facts_query, rank_of_queue, started_of
+from core.errors import JobNotFound
+from core.jobs.job import Job
+from core.jobs.pools import pool_of
+from core.jobs.preemption import Holders, making_room, may_be_asked
+from core.jobs.queue import PRIORITIES
+from core.jobs.turns import Request
+from core.jobs.workers import WorkerInfo, able_to_run
+
+# An arbitrary number of ours: one reconciler decides at a time. The rest as for a claim.
+_BEGIN = text("SELECT pg_try_advisory_xact_lock(7310582062), set_config('enable_sort', 'off', true)")
+_RUNNING = text("""
+    SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token, attempts.worker,
+        CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s,
+        jobs.kind, jobs.status, jobs.preemptible, jobs.yields_to
+    FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
+    WHERE jobs.status = ANY(CAST(:held AS text[]))
+""")
+# The oldest of each queue, project and user, by the index `jobs_turns`.
+_OLDEST = """
+    WITH RECURSIVE groups AS (
+        SELECT first.* FROM unnest(CAST(:queues AS text[])) AS queues (name) CROSS JOIN LATERAL (
+            SELECT queue, project, coalesce(owner, '') AS owner FROM jobs
+            WHERE queue = queues.name AND status = 'queued'
+            ORDER BY project, coalesce(owner, ''), id LIMIT 1
+        ) AS first
+        UNION ALL
+        SELECT following.* FROM groups CROSS JOIN LATERAL (
+            SELECT queue, project, coalesce(owner, '') AS owner FROM jobs
+            WHERE queue = groups.queue AND status = 'queued'
+                AND (project, coalesce(owner, '')) > (groups.project, groups.owner)
+            ORDER BY project, coalesce(owner, ''), id LIMIT 1
+        ) AS following
+    )
+    SELECT oldest.* FROM groups CROSS JOIN LATERAL (
+        SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs
+        WHERE queue = groups.queue AND project = groups.project AND coalesce(owner, '') = groups.owner
+            AND status = 'queued' AND (not_before IS NULL OR not_before < clock_timestamp())
+        ORDER BY id LIMIT 20
+    ) AS oldest
+"""
+_FACTS = facts_query(_OLDEST)
+# An attempt that has ended meanwhile, or is being cancelled, makes no room; nor for a job that waits no more.
+_TELL = text("""
+    UPDATE jobs SET yields_to = :waiting
+    WHERE id = :id AND token = :token AND status IN ('starting', 'running') AND yields_to IS NULL
+        AND EXISTS (SELECT FROM jobs AS others WHERE others.id = :waiting AND others.status = 'queued')
+""")
+
+
+_ROOMS = text("""
+    SELECT jobs.id, jobs.yields_to, jobs.project = waiting.project AS is_of_its_project
+    FROM jobs JOIN jobs AS waiting ON waiting.id = jobs.yields_to
+    WHERE jobs.yields_to IS NOT NULL AND jobs.status = ANY(CAST(:held AS text[])) ORDER BY jobs.id
+""")
+
+
+class PreemptionQueries(Session):
+    """The part of a JobStore that makes room for waiting jobs."""
+
+    def make_room(self) -> Mapping[str, Sequence[str]]:
+        asked = {"held": list(HELD)}
+        with self._transaction() as connection:
+            if not connection.execute(_BEGIN).scalar():
+                return {}
+            running = connection.execute(_RUNNING, asked).all()
+            started = [
+                replace(started_of(columns(row)), is_preemptible=bool(row.preemptible)) for row in running
+            ]
+            movable = {row.id for row in running if _is_movable(row)}
+            ranks = [rank for rank in range(len(PRIORITIES)) if may_be_asked(started, movable, rank)]
+            if not ranks:
+                return {}
+            present = workers.present(connection)
+            served = {queue for worker in present for queue in worker.queues}
+            queues = [queue for queue in served if rank_of_queue(queue) in ranks]
+            facts = facts_of(connection.execute(_FACTS, {**asked, "queues": queues}).one())
+            if not facts.waiting:
+                return {}
+            drains = {row.id: row.yields_to for row in running if row.yields_to is not None}
+            holders = Holders(replace(facts, started=started), movable, drains)
+            found = making_room(holders, present, partial(_able, connection, present))
+            tokens = {row.id: row.token for row in running}
+            for waiting, victims in found.items():
+                for victim in victims:
+                    connection.execute(_TELL, {"waiting": waiting, "id": victim, "token": tokens[victim]})
+        return found
+
+    def rooms(self) -> Mapping[str, Sequence[str]]:
+        found = defaultdict[str, list[str]](list)
+        with self._statements() as connection:
+            for row in connection.execute(_ROOMS, {"held": list(HELD)}):
+                found[row.yields_to].append(in_words(row.id, row.is_of_its_project))
+        return found
+
+
+def _able(connection: Connection, present: Sequence[WorkerInfo], waits: Request) -> Collection[str]:
+    """The names of the pools that could run the job."""
+    try:
+        job = find_job(connection, waits.id)
+    except JobNotFound:
+        return ()
+    return {pool_of(one) for one in able_to_run(job, present)} if isinstance(job, Job) else ()
+
+
+def _is_movable(row: Row[Any]) -> bool:
+    return row.kind == "train" and row.status in ("starting", "running") and row.yields_to is None
