@@ -7,9 +7,11 @@ from typing import NoReturn
 import pytest
 
 from api.shared_reads import Turns
+from api.views import job_view
 from core.errors import RecordsUnavailable
 from core.jobs.queue import queue_names
 from core.jobs.workers import WorkerInfo
+from core.reasons import Reason
 from tests.api.conftest import NOON, Stack
 
 _ANT = {"kind": "train", "environment": "ant"}
@@ -94,3 +96,21 @@ def test_turns_are_those_known_before_while_they_are_looked_up_or_the_record_is_
     turns._until = 1.0  # pyright: ignore[reportPrivateUsage] # Long ago.
     assert [turns.now(workers) for _ in range(3)] == [known] * 3
     assert meanwhile == [known]  # Asked once.
+
+
+def test_a_job_says_which_one_makes_room_for_it_and_that_one_for_whom_it_was(stack: Stack) -> None:
+    announce(stack, "cpu")
+    low = stack.http.post("/jobs", json={**_ANT, "priority": "low"}).json()["id"]
+    job = stack.store.take_turn(queue_names("cpu"), "cpu", now=NOON, lease=timedelta(seconds=30), secret="s")
+    assert job is not None
+    high = stack.http.post("/jobs", json={**_ANT, "priority": "high"}).json()["id"]
+    assert stack.store.make_room() == {high: [low]}
+    turn = stack.http.get(f"/jobs/{high}").json()["turn"]
+    assert (turn["before"], turn["reason"]) == (0, f"Job {low} makes room for it, and goes on later.")
+    assert turn["starts_at"] is not None
+    message = f"It made room for job {high}. The work up to then is kept."
+    stack.store.save(job.requeued(Reason.PREEMPTED, message, NOON))
+    forecast = Turns(stack.store).now(stack.store.workers())[low]
+    view = job_view(stack.store.get(low), turns={low: forecast})
+    assert view.turn is not None
+    assert view.turn.reason.startswith(f"{message} It goes on later. It is for the one worker")

@@ -15,8 +15,10 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.algorithms.ppo.spec import PPOSpec
 from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import utc_now
+from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
 from core.reasons import Reason
+from tests.contract.recording import worker
 from tests.faults.bench import Bench
 from worker.host.device_health import mark_of
 from worker.host.locks import slot
@@ -139,6 +141,22 @@ def test_a_drain_gives_the_job_back_with_its_checkpoint_and_no_video(bench: Benc
     assert (ended.status, ended.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
     assert [a.step for a in ended.artifacts if a.role == "checkpoint"] == [10, 20]
     assert ended.newest("video") is None
+
+
+def test_a_training_that_makes_room_hears_it_with_its_lease_and_is_given_back_with_its_checkpoint(
+    bench: Bench,
+) -> None:
+    here = worker("w").model_copy(update={"queues": queue_names("cpu")})
+    bench.store.announce(here, timedelta(seconds=40))
+    job = bench.submit(max_attempts=1)
+    with bench.running(job, "waits"):
+        urgent = bench.submit(priority="high")
+        assert bench.store.make_room() == {urgent.id: [job.id]}
+    ended = bench.store.get(job.id)
+    (attempt,) = ended.attempts
+    assert (ended.status, attempt.reason) == (JobStatus.QUEUED, Reason.PREEMPTED)
+    assert attempt.message == f"It made room for job {urgent.id}. The work up to then is kept."
+    assert [a.step for a in ended.artifacts if a.role == "checkpoint"] == [10, 20]
 
 
 def test_a_drain_after_the_end_of_the_work_keeps_the_metrics_of_a_job_that_nobody_takes_again(
