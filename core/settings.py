@@ -507,6 +507,11 @@ class ReconcilerSettings(StoreSettings):
     worker_database_url: WorkerDatabase = None
     lease: Lease = timedelta(seconds=14)
     reconcile_every: Seconds = Field(timedelta(seconds=1), description="Time between two checks of all jobs.")
+    share_half_life: Annotated[Seconds, Field(ge=timedelta(hours=1))] = Field(
+        timedelta(days=3),
+        description="After this time half of what users and projects have used counts when turns are given; "
+        "at least an hour, such as `P7D`.",
+    )
 
     @model_validator(mode="after")
     def _watches_leases(self) -> Self:

@@ -101,6 +101,7 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
         Chore("sweeps", every_s, SweepController(store, queue, objects).run_once),
         Chore("messages", 10 * every_s, StrayMessages(queue).run_once),
         Chore("monitoring", _REPORT_EVERY_S, Report(tallies, store.add_tallies).now),
+        Chore("half_life", _TIDY_EVERY_S, partial(store.set_half_life, settings.share_half_life)),
         Chore("record", _TIDY_EVERY_S, store.tidy),
         Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
         Chore("deletions", _DELETIONS_EVERY_S, partial(end_deletions, store=store, objects=objects)),

@@ -158,6 +158,10 @@ class UsageStore(Protocol):
         """The use since the beginning of that hour."""
         ...
 
+    def set_half_life(self, span: timedelta) -> None:
+        """After this time half of a use is forgotten where turns are given. What is forgotten stays so."""
+        ...
+
     def add_tallies(self, tallies: Sequence[Tally]) -> None:
         """Add to the sums of all workers."""
         ...

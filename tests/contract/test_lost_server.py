@@ -82,6 +82,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "queue_counts": lambda jobs: jobs.queue_counts(),
         "numbers": lambda jobs: jobs.numbers(),
         "usage": lambda jobs: jobs.usage(NOW),
+        "set_half_life": lambda jobs: jobs.set_half_life(LEASE),
         "add_tallies": lambda jobs: jobs.add_tallies([Tally("s", (), (), 1.0)]),
         "jobs_of": lambda jobs: jobs.jobs_of([job.id]),
         "undispatched": lambda jobs: jobs.undispatched(),

@@ -134,6 +134,25 @@ def test_use_is_halved_every_half_life_and_added_up(job_store: PostgresJobStore,
     assert share.usual_s == pytest.approx((3600 / 2 + 1800) / 1.5, rel=1e-3)
 
 
+def test_another_half_life_acts_on_what_comes_and_not_on_what_has_passed(
+    job_store: PostgresJobStore, database: Database
+) -> None:
+    """Of 3,600 s half is left after three days, and of that half after a day more: 900."""
+    job_store.beat(LEASE)
+    add(job_store, "ann")
+    claim = take(job_store)
+    assert claim is not None
+    database.change("UPDATE attempts SET started_at = clock_timestamp() - interval '1 h'")
+    claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    for days in (3, 1):
+        database.change("UPDATE shares SET at = at - %s", timedelta(days=days))
+        for _ in range(2):
+            job_store.set_half_life(timedelta(days=1))
+    (share,) = job_store.turn_facts().shares
+    assert share.amount == pytest.approx(900, rel=1e-3)
+    assert share.usual_s == pytest.approx(3600, rel=1e-3)
+
+
 def test_as_many_jobs_run_as_the_quota_says(job_store: PostgresJobStore) -> None:
     jobs = [add(job_store, "ann") for _ in range(3)]
     job_store.set_quota("user", "ann", Quota(running=1), Actor())

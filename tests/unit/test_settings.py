@@ -178,6 +178,13 @@ def test_half_a_key_for_workers_is_refused(environ: pytest.MonkeyPatch) -> None:
         read(ApiSettings)
 
 
+def test_a_half_life_is_at_least_an_hour(environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_SHARE_HALF_LIFE", "60")
+    assert "GAITWAY_SHARE_HALF_LIFE is wrong" in refusal(ReconcilerSettings)
+    environ.setenv("GAITWAY_SHARE_HALF_LIFE", "P7D")
+    assert read(ReconcilerSettings).share_half_life == timedelta(days=7)
+
+
 def test_a_reconciler_that_looks_too_seldom_is_refused(environ: pytest.MonkeyPatch) -> None:
     environ.setenv("GAITWAY_RECONCILE_EVERY", "10")
     assert "GAITWAY_RECONCILE_EVERY (10 s), or no lease ever runs out" in refusal(ReconcilerSettings)

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any
 
 from sqlalchemy import (
@@ -22,6 +22,7 @@ from sqlalchemy import (
     true,
     tuple_,
     union_all,
+    update,
 )
 from sqlalchemy.dialects.postgresql import JSONB, insert
 
@@ -151,6 +152,11 @@ _CHARGE = text(f"""
         seconds = shares.seconds * {_LEFT} + excluded.seconds,
         at = excluded.at
 """)  # noqa: S608 # A constant.
+# By the half-life that was true until now.
+_BRING_UP_TO_DATE = text(f"""
+    UPDATE shares SET amount = amount * {_LEFT}, attempts = attempts * {_LEFT}, seconds = seconds * {_LEFT},
+        at = clock_timestamp()
+""")  # noqa: S608 # A constant.
 SHARES = f"""
     SELECT device, project, owner, amount * {_LEFT} AS amount, seconds / attempts AS usual_s FROM shares
 """  # noqa: S608 # A constant.
@@ -230,6 +236,14 @@ class UsageQueries(Session):
             used_by = ended.get(who := (row.project, row.owner), ProjectUsage(*who))
             ended[who] = replace(used_by, bytes=row.bytes)
         return usage_of(ended, devices, running, since=since, day=day, until=now)
+
+    def set_half_life(self, span: timedelta) -> None:
+        known = select(pulse.c.half_life).with_for_update()
+        with self._transaction() as connection:
+            if connection.execute(known).scalar() == span:
+                return
+            connection.execute(_BRING_UP_TO_DATE)
+            connection.execute(update(pulse).values(half_life=span))
 
     def add_tallies(self, tallies: Sequence[Tally]) -> None:
         if not tallies:
