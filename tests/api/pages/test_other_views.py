@@ -335,6 +335,26 @@ def test_a_worker_that_trains_two_jobs_together_links_both(
     expect(page.get_by_role("heading", name="seed")).to_be_visible()
 
 
+def test_a_gpu_that_is_lent_says_to_whom_and_is_busy(stack: Stack, tab: Tab) -> None:
+    ago, pool = utc_now() - timedelta(hours=2), {"pool": "gpu:0,1", "host": "node1", "pid": 1}
+    stack.store.add(queued := job())
+    claimed = queued.claimed("node1:gpu:0:a1b2c3", ago, details={"gpus": "gpu:0,1"})
+    stack.store.save(claimed, lease=timedelta(minutes=1))
+    says_who = f"The job {queued.id} has its GPU: it runs on gpu:0,1 of this machine."
+    for gpu, said in enumerate(({}, {"state": "lent", "problem": says_who})):
+        name, device = f"node1:gpu:{gpu}:a1b2c3", f"gpu:{gpu}"
+        seen = {"started_at": ago, "seen_at": utc_now()}
+        worker = WorkerInfo.model_validate({"name": name, "device": device, **pool, **seen, **said})
+        stack.store.announce(worker, timedelta(minutes=1))
+    page = tab.open("#/workers")
+    owner, lender = (page.locator("section.card").filter(has_text=f"node1:gpu:{gpu}:") for gpu in (0, 1))
+    expect(owner).to_contain_text(f"runs {queued.id}")
+    expect(lender).to_contain_text(f"lent: {says_who}")
+    expect(lender).to_contain_text("gpu:1 of gpu:0,1, which jobs share out")
+    for card in (owner, lender):
+        expect(card.get_by_role("img", name=re.compile("busy for [89] % of the last day"))).to_be_visible()
+
+
 def test_the_http_interface_is_there_without_another_network(tab: Tab) -> None:
     page = tab.open("docs")
     expect(page.get_by_text("/jobs/{job_id}/cancel", exact=True)).to_be_visible()
