@@ -48,7 +48,14 @@ class Offer:
 
 
 class NothingFits(Exception):
-    """Jobs wait that an offer is too small for, or that would delay a larger one: a sentence."""
+    """Jobs wait that an offer is too small for, or that would delay a larger one: the first of these."""
+
+    def __init__(self, request: Request, free: int) -> None:
+        verb = "is" if free == 1 else "are"
+        super().__init__(
+            f"The job {request.id} comes first, and needs {request.gpus} GPUs; {free} {verb} free here."
+        )
+        self.request = request
 
 
 def choose_for(offer: Offer, requests: Sequence[Request], facts: TurnFacts) -> Request | None:
@@ -62,10 +69,8 @@ def choose_for(offer: Offer, requests: Sequence[Request], facts: TurnFacts) -> R
     ]
     chosen = choose(own, ordered, pools, running, 0.0)
     if chosen is None and ordered:
-        first, verb = ordered[0], "is" if own.free == 1 else "are"
-        raise NothingFits(
-            f"The job {first.id} comes first, and needs {first.gpus} GPUs; {own.free} {verb} free here."
-        )
+        too_large = (one for one in ordered if own.could_hold(one) and not own.has_room(one))
+        raise NothingFits(next(too_large, ordered[0]), own.free)
     return chosen
 
 

@@ -78,14 +78,18 @@ def test_a_pool_gives_a_job_its_gpus_and_says_which(job_store: PostgresJobStore)
     ]
     offer = Offer("host/gpu:0,1,2,3", 2, frozenset({0, 1, 2, 3}), workers)
 
-    def take_of_pool(offer: Offer, secret: str = "") -> Claim | None:
+    def take_of_pool(offer: Offer, secret: str = "", **more: Any) -> Claim | None:
         secret = secret or new_secret()
         stores: Any = {"store": job_store, "objects": objects}
         queues = queue_names("gpu:2", pool=4)
-        return claim_turn(queues, "host:gpu:2:00000a", **stores, lease=LEASE, secret=secret, offer=offer)
+        return claim_turn(
+            queues, "host:gpu:2:00000a", **stores, lease=LEASE, secret=secret, offer=offer, **more
+        )
 
     with pytest.raises(NothingFits, match=f"{four.id} comes first, and needs 4 GPUs; 2 are free here"):
         take_of_pool(replace(offer, free=frozenset({2, 3})))
+    # Nothing is kept for jobs that this machine cannot run.
+    assert take_of_pool(replace(offer, free=frozenset({2})), fits=lambda job: False) is None
     first, again = take_of_pool(offer, "ab" * 8), take_of_pool(offer, "ab" * 8)
     assert first == again
     assert first is not None

@@ -190,8 +190,8 @@ class Membership:
 
 
 def pool_of(settings: WorkerSettings, device: str) -> Pool | None:
-    """The pool of this worker; None where it serves its own device alone. Raises Misconfigured."""
-    if settings.pool is None:
+    """The pool of this worker; None where it serves its own device alone, as a CPU. Raises Misconfigured."""
+    if settings.pool is None or device == "cpu":
         return None
     gpus, own = gpu_indices(settings.pool), gpu_indices(device)
     if len(own) != 1 or own[0] not in gpus or settings.hosts > 1:

@@ -20,7 +20,7 @@ from core.adapters.postgres.rows import HELD, find_job, readable
 from core.adapters.postgres.usage import SHARES
 from core.errors import IllegalTransition, JobNotFound, StaleJob
 from core.jobs.job import Job
-from core.jobs.pools import GIVEN, Offer, choose_for
+from core.jobs.pools import GIVEN, NothingFits, Offer, choose_for
 from core.jobs.queue import PRIORITIES
 from core.jobs.slots import kind_of_queue
 from core.jobs.turns import Request, Share, Started, TurnFacts, Who, in_order, standings_on
@@ -105,10 +105,12 @@ class TurnQueries(Session):
         told: str = "",
         offer: Offer | None = None,
     ) -> Job | None:
-        def claim(connection: Connection, first: Request) -> Job | None:
+        def claim(connection: Connection, first: Request, kept: NothingFits | None) -> Job | None:
             job = find_job(connection, first.id)
             if not isinstance(job, Job) or not fits(job):
                 return None
+            if kept is not None:
+                raise kept
             given = {} if offer is None else {GIVEN: offer.device(first.gpus)}
             claimed = job.claimed(worker, now, secret, {**(details or {}), **given})
             save_job(connection, claimed, SAVE_AT_ONCE, lease=lease)
@@ -135,26 +137,33 @@ def _take(
     connection: Connection,
     asked: Mapping[str, Any],
     facts: TurnFacts,
-    claim: Callable[[Connection, Request], Job | None],
+    claim: Callable[[Connection, Request, NothingFits | None], Job | None],
     offer: Offer | None,
 ) -> Job | None:
     """The first job in turn that can be claimed. Raises NothingFits.
 
-    asked: what the facts are of. claim: returns None for a job that is for another worker.
+    asked: what the facts are of. claim: returns None for a job that is for another worker; of another one, it
+    raises what it is given.
     """
     device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in asked["queues"]) else "cpu"
     standings, _ = standings_on(device, facts.shares, facts.started, facts.quotas)
 
-    def next_of(heads: Sequence[Request]) -> Request | None:
+    def next_of(heads: Sequence[Request]) -> tuple[Request | None, NothingFits | None]:
         if offer is None:
-            return next(in_order(heads, standings), None)
-        return choose_for(offer, heads, facts)
+            return next(in_order(heads, standings), None), None
+        try:
+            return choose_for(offer, heads, facts), None
+        except NothingFits as kept:
+            return kept.request, kept
 
     passed, unfit, heads = list[str](), Counter[_Group](), facts.waiting
-    while (first := next_of(heads)) is not None:
+    while True:
+        first, kept = next_of(heads)
+        if first is None:
+            return None
         # These errors are ours: no statement has failed, and the transaction goes on.
         try:
-            if (claimed := claim(connection, first)) is not None:
+            if (claimed := claim(connection, first, kept)) is not None:
                 return claimed
             unfit[_group(first)] += 1
         except (IllegalTransition, JobNotFound):  # It was cancelled, claimed or deleted meanwhile.
@@ -167,7 +176,6 @@ def _take(
             rows = connection.execute(_NEXT_HEADS, {**asked, "but_not": passed}).mappings()
             heads = [_request(row) for row in rows]
         heads = [head for head in heads if unfit[_group(head)] < most]
-    return None
 
 
 def _group(waiting: Request) -> _Group:

@@ -87,6 +87,7 @@ def test_a_pool_is_of_workers_with_one_gpu_each(tmp_path: Path, monkeypatch: pyt
     pool = pool_of(shared, "gpu:1")
     assert pool is not None
     assert (pool.device, pool.own) == ("gpu:0,1", 1)
-    for wrong in ("gpu:2", "gpu:0,1", "cpu"):
+    assert pool_of(shared, "cpu") is None
+    for wrong in ("gpu:2", "gpu:0,1"):
         with pytest.raises(Misconfigured, match="GAITWAY_POOL=gpu:0-1 is for workers with one of these GPUs"):
             pool_of(shared, wrong)
