@@ -64,9 +64,14 @@ export async function everyItem(path, options) {
 }
 
 /** The answer's document, or null if it has none. */
-export async function post(path, document) {
+export const post = (path, document) => sendDocument("POST", path, document);
+
+/** The thing's document after these changes. */
+export const patch = (path, changes) => sendDocument("PATCH", path, changes);
+
+async function sendDocument(method, path, document) {
   const body = document === undefined ? undefined : JSON.stringify(document);
-  return (await send(path, { method: "POST", body, type: body && "application/json" })).json();
+  return (await send(path, { method, body, type: body && "application/json" })).json();
 }
 
 export const remove = (path) => send(path, { method: "DELETE" });

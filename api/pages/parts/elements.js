@@ -49,6 +49,7 @@ export function Confirm({ text, question, onYes, isDangerous }) {
  * path, query: of the present address. next: the listing's. first, more: what the links say.
  */
 export function Pages({ path, query, next, first, more, name }) {
+  if (!query.get("cursor") && !next) return null;
   const at = (cursor) => {
     const parts = new URLSearchParams(query);
     parts.delete("cursor");

@@ -36,7 +36,7 @@ function Form({ all, environments, draft }) {
     <form class="form" onSubmit=${submit} novalidate>
       <div class="stack">
         ${problem && html`<${Errors} problem=${problem} errors=${refused} box=${summary} />`}
-        <${JobFields} all=${all} document=${document} change=${setDocument} errors=${errors} environments=${environments} environment=${environment}>
+        <${JobFields} all=${all} document=${document} change=${setDocument} errors=${errors} environments=${environments} environment=${environment} project=${document.project}>
           <${ProjectChoice} value=${document.project} errors=${errors} onChange=${(project) => setDocument((before) => put(before, ["project"], project))} />
         <//>
       </div>

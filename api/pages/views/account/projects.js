@@ -1,6 +1,6 @@
 /** Projects, and who is in them. */
 
-import { get, post, send } from "../../lib/api.js";
+import { get, patch, post } from "../../lib/api.js";
 import { useSubmission } from "../../lib/draft.js";
 import { html, useState } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
@@ -22,7 +22,7 @@ function Project({ project, users, again }) {
   const change = async (parts) => {
     setProblem(null);
     const path = `/projects/${encodeURIComponent(project.name)}`;
-    await send(path, { method: "PATCH", body: JSON.stringify(parts), type: "application/json" }).catch(setProblem);
+    await patch(path, parts).catch(setProblem);
     again();
   };
   const others = users.filter(({ name }) => !project.members.includes(name));

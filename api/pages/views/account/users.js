@@ -1,6 +1,6 @@
 /** Users: added, with their roles; disabled. */
 
-import { get, post, send } from "../../lib/api.js";
+import { get, patch, post } from "../../lib/api.js";
 import { useSubmission } from "../../lib/draft.js";
 import { ago } from "../../lib/format.js";
 import { html, useState } from "../../lib/html.js";
@@ -9,7 +9,7 @@ import { href } from "../../lib/route.js";
 import { ROLES } from "../../lib/session.js";
 import { Confirm, Failure, Loading } from "../../parts/elements.js";
 
-const changed = (name, change) => send(`/users/${encodeURIComponent(name)}`, { method: "PATCH", body: JSON.stringify(change), type: "application/json" });
+const changed = (name, change) => patch(`/users/${encodeURIComponent(name)}`, change);
 
 export function Users() {
   const { data, error, again } = useLive((signal) => Promise.all([get("/users", {}, { signal }), get("/projects", {}, { signal })]), []);

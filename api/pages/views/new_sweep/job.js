@@ -22,7 +22,7 @@ export function JobPart({ all, draft, setDraft, renew, errors, environments, env
     <details open=${isOpen || own.length > 0} onToggle=${(event) => setOpen(event.target.open)}>
       <summary>Environment, algorithm and other settings of the job</summary>
       ${(isOpen || own.length > 0) &&
-      html`<div class="stack"><${JobFields} all=${all} document=${draft.job} change=${change} errors=${own} environments=${environments} environment=${environment} /></div>`}
+      html`<div class="stack"><${JobFields} all=${all} document=${draft.job} change=${change} errors=${own} environments=${environments} environment=${environment} project=${draft.project} /></div>`}
     </details>
   </fieldset>`;
 }

@@ -7,15 +7,16 @@ import { useLive } from "../../lib/live.js";
 import { Copy, Failure, Prose } from "../../parts/elements.js";
 import { Field } from "../../parts/field.js";
 import { AlgorithmPart, EnvironmentPart } from "./environment.js";
+import { Notify } from "./notify.js";
 
 const FIRST = ["name", "labels", "seed"];
-const PLACED = new Set([...FIRST, "project", "kind", "environment", "algorithm", "policy"]);
+const PLACED = new Set([...FIRST, "notify", "project", "kind", "environment", "algorithm", "policy"]);
 
 /**
  * change: gets a function from the job's document to the next one. environment: what `useEnvironment` returns.
- * Children: further fields about it.
+ * project: whose webhooks it may name. Children: further fields about it.
  */
-export function JobFields({ all, document, change, errors, environments, environment, children }) {
+export function JobFields({ all, document, change, errors, environments, environment, project, children }) {
   const set = (path, value) => change((before) => put(before, path, value));
   const fields = { all, document, set, errors };
   const schema = all[document.kind === "rollout" ? "RolloutSpec" : "TrainSpec"];
@@ -27,15 +28,17 @@ export function JobFields({ all, document, change, errors, environments, environ
     ${document.kind === "rollout"
       ? html`<fieldset><legend>Policy</legend><${Field} ...${fields} path=${["policy"]} schema=${schema.properties.policy} isOpen /></fieldset>`
       : html`<${AlgorithmPart} ...${fields} schema=${schema.properties.algorithm} environment=${environment.data} />`}
-    <fieldset><legend>About it</legend><div class="fields">${FIRST.map(draw)}${children}</div></fieldset>
+    <fieldset><legend>About it</legend><div class="fields">${FIRST.map(draw)}${children}
+      <${Notify} ...${fields} project=${project} schema=${schema.properties.notify} /></div></fieldset>
     <fieldset><legend>Everything else</legend><div class="fields">${rest.map(draw)}</div></fieldset>
   `;
 }
 
 function Kind({ document, change }) {
   const choose = (kind) => () =>
-    change(({ environment, name, labels, seed }) => {
-      const kept = Object.fromEntries(Object.entries({ environment, name, labels, seed }).filter(([, value]) => value !== undefined));
+    change(({ environment, name, labels, seed, project, notify }) => {
+      const said = { environment, name, labels, seed, project, notify };
+      const kept = Object.fromEntries(Object.entries(said).filter(([, value]) => value !== undefined));
       return kind === "train" ? { kind, ...kept } : { kind, ...kept, policy: { kind: "random" } };
     });
   return html`<fieldset><legend>Kind</legend><div class="tools">
