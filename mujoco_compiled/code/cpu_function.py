@@ -7,7 +7,8 @@ from itertools import chain
 from mujoco_compiled.code.arrays import array_sizes
 from mujoco_compiled.code.long_writer import FunctionFrame, write_code
 from mujoco_compiled.code.memory import foreign_tables, memory_lines, tables
-from mujoco_compiled.code.writer import Target, Writer, routines
+from mujoco_compiled.code.target import Target
+from mujoco_compiled.code.writer import Writer, routines
 from mujoco_compiled.program.program import Program
 
 _WHOLE = "A vector's lanes are environments: the program must be a whole body's."

@@ -10,7 +10,8 @@ from mujoco_compiled.code.arrays import array_sizes
 from mujoco_compiled.code.long_writer import FunctionFrame, write_code
 from mujoco_compiled.code.memory import memory_lines, small_table, small_tables, tables
 from mujoco_compiled.code.steps import num_operations
-from mujoco_compiled.code.writer import Barrier, Target, Team, Writer, routine_name, routines, seen
+from mujoco_compiled.code.target import Barrier, Target, Team
+from mujoco_compiled.code.writer import Writer, routine_name, routines, seen
 from mujoco_compiled.program.program import Program
 
 TRIPLE = "nvptx64-nvidia-cuda"

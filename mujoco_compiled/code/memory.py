@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-from mujoco_compiled.code.writer import SmallTables, Target
+from mujoco_compiled.code.target import SmallTables, Target
 from mujoco_compiled.program.program import Each, Memory, Program, Read, Statement
 
 # What a card's constant memory holds, in bytes, and leaves for a kernel's parameters.
