@@ -10,20 +10,19 @@ from typing import Protocol
 
 import numpy as np
 
+from mujoco_compiled.code.lines import Lines
+from mujoco_compiled.code.spaces import place_of, read, store
 from mujoco_compiled.code.steps import Step, Write, num_operations
 from mujoco_compiled.code.target import Barrier, Target
 from mujoco_compiled.program.program import (
     Assign,
-    Bound,
     Branch,
     Call,
     Each,
     Loop,
     Operation,
-    Place,
     Program,
     Read,
-    Space,
     Store,
     Together,
 )
@@ -49,34 +48,17 @@ class Memory(Protocol):
 
 
 @dataclass
-class Writer:
+class Writer(Lines):
     """The body of a function. block: the label of the block that is being written. routines: of the program,
     by their numbers."""
 
-    target: Target
     memory: Memory
     block: str
     routines: Sequence[str] = ()
-    lines: list[str] = field(default_factory=list[str])
-    _num_names: int = 0
     _num_since_barrier: int = 0
     _num_alone: int = 0  # parts around the block through which a thread goes alone
-    _constants: dict[int, str] = field(default_factory=dict[int, str])
     # By the name of an angle: sine and cosine of what is left of it, and its quadrant.
     _angles: dict[str, tuple[str, str, str]] = field(default_factory=dict[str, tuple[str, str, str]])
-
-    def name(self) -> str:
-        self._num_names += 1
-        return f"%t{self._num_names}"
-
-    def line(self, text: str) -> None:
-        self.lines.append(f"  {text}")
-
-    def value(self, text: str) -> str:
-        """The name of the instruction's result."""
-        name = self.name()
-        self.line(f"{name} = {text}")
-        return name
 
     def begin_block(self, label: str) -> None:
         """The block that follows this one."""
@@ -100,9 +82,9 @@ class Writer:
             case Assign():
                 self._assign(step)
             case Read():
-                self._read(step)
+                read(self, step)
             case Store():
-                self._store(step)
+                store(self, step)
             case Each():
                 self._each(step)
             case Together():
@@ -121,10 +103,6 @@ class Writer:
     @property
     def _barrier(self) -> Barrier | None:
         return None if self._num_alone else self.target.barrier
-
-    def operand(self, variable: int | float | str) -> str:
-        """The variable's name, or its value if it is a constant."""
-        return self._constants.get(int(variable)) or f"%v{variable}"
 
     def _assign(self, statement: Assign) -> None:
         target, operation, arguments = f"%v{statement.target}", statement.operation, statement.arguments
@@ -175,10 +153,6 @@ class Writer:
                 order = "olt" if operation == "minimum" else "ogt"
                 is_first = self.value(f"fcmp {order} {number} {names[0]}, {names[1]}")
                 self.select(target, is_first, names[0], names[1])
-
-    def select(self, target: str, condition: str, chosen: str, otherwise: str) -> None:
-        number, truth = self.target.number, self.target.truth
-        self.line(f"{target} = select {truth} {condition}, {number} {chosen}, {number} {otherwise}")
 
     def _turn(self, target: str, operation: Operation, angle: str) -> None:
         """Sine or cosine: of an angle below π/4 and its quadrant.
@@ -305,110 +279,13 @@ class Writer:
             )
         self.block, self._angles = after, known
 
-    def _read(self, read: Read) -> None:
-        target, name, tables = self.target, f"%v{read.target}", self.target.tables
-        match read.space:
-            case "numbers" | "shared" | "common":
-                kind, pointer = self._own(read.space, read.place)
-                self.line(f"{name} = load {target.number}, {kind} {pointer}, align {4 * target.width}")
-            case "constants" if read.index is not None:
-                self._look_up(name, self._place(read.place), self.operand(read.index))
-            case "constants":
-                pointer = self._pointer("float", tables, "@table_constants", self._place(read.place))
-                load = f"load float, {tables} {pointer}, align 4, !invariant.load !0"
-                self._spread(name, self.value(load))
-            case "counts":
-                pointer = self._pointer("i32", target.own, "%counts", self._place(read.place))
-                number = self._bounded(self.value(f"load i32, {target.own} {pointer}, align 4"), read.bound)
-                if not read.is_number:
-                    self.line(f"{name} = zext i32 {number} to i64")
-                else:
-                    self._spread(name, self.value(f"uitofp i32 {number} to float"))
-            case "integers" if target.small:
-                near = Place(target.small.places[read.place.offset], read.place.terms)
-                pointer = self._pointer("i16", "ptr addrspace(4)", "@small_integers", self._place(near))
-                number = self.value(f"load i16, ptr addrspace(4) {pointer}, align 2, !invariant.load !0")
-                self.line(f"{name} = zext i16 {number} to i64")
-            case "integers":
-                pointer = self._pointer("i32", tables, "@table_integers", self._place(read.place))
-                number = self.value(f"load i32, {tables} {pointer}, align 4, !invariant.load !0")
-                self.line(f"{name} = sext i32 {number} to i64")
-
-    def _look_up(self, name: str, place: str, index: str) -> None:
-        """Each environment's constant: that at a place, or as much later as the index's whole part is."""
-        target, tables, width = self.target, self.target.tables, self.target.width
-        whole = self.value(f"fptosi {target.number} {index} to {target.integer}")
-        begin = self._pointer("float", tables, "@table_constants", place)
-        pointer = self.value(f"getelementptr inbounds float, {tables} {begin}, {target.integer} {whole}")
-        if width == 1:
-            self.line(f"{name} = load float, {tables} {pointer}, align 4, !invariant.load !0")
-            return
-        every = f"{target.truth} {target.splat('i1', 'true')}, {target.number} zeroinitializer"
-        self.line(
-            f"{name} = call {target.number} @llvm.masked.gather.v{width}f32.v{width}p0("
-            f"<{width} x ptr> {pointer}, i32 4, {every})"
-        )
-
-    def _spread(self, name: str, number: str) -> None:
-        """One number, as that of all environments."""
-        kind, width = self.target.number, self.target.width
-        if width == 1:
-            self.line(f"{name} = bitcast float {number} to float")
-            return
-        first = self.value(f"insertelement {kind} poison, float {number}, i64 0")
-        zeros = f"<{width} x i32> zeroinitializer"
-        self.line(f"{name} = shufflevector {kind} {first}, {kind} poison, {zeros}")
-
-    def _bounded(self, number: str, bound: Bound | None) -> str:
-        if bound is None:
-            return number
-        kind, most = bound
-        is_beyond = self.value(f"icmp ugt i32 {number}, {most}")
-        chosen = (f"{most}", number) if kind == "most" else (number, "0")
-        return self.value(f"select i1 {is_beyond}, i32 {chosen[0]}, i32 {chosen[1]}")
-
-    def _store(self, store: Store) -> None:
-        target = self.target
-        if isinstance(store.value, int):
-            kind, pointer = self._own(store.space, store.place)
-            value = f"{target.number} {self.operand(store.value)}"
-            self.line(f"store {value}, {kind} {pointer}, align {4 * target.width}")
-        else:
-            pointer = self._pointer("i32", target.own, "%counts", self._place(store.place))
-            number = self.value(f"trunc i64 {self._place(store.value)} to i32")
-            self.line(f"store i32 {number}, {target.own} {pointer}, align 4")
-
-    def _own(self, space: Space, place: Place) -> tuple[str, str]:
-        """The kind of pointer to an environment's own numbers, and the one to a place among them."""
-        target = self.target
-        if space == "numbers":
-            return target.own, self._pointer(target.number, target.own, "%numbers", self._place(place))
-        if space == "common" and place.offset < target.near:
-            space, place = "shared", place + target.after
-        kind = target.shared if space == "shared" else target.common
-        row = target.number if target.stride == 1 else f"[{target.stride} x {target.number}]"
-        return kind, self._pointer(row, kind, f"%{space}", self._place(place))
-
-    def _pointer(self, element: str, kind: str, begin: str, place: str) -> str:
-        return self.value(f"getelementptr inbounds {element}, {kind} {begin}, i64 {place}")
-
-    def _place(self, place: Place) -> str:
-        """The integer's name, or the integer itself."""
-        whole = ""
-        for variable, stride in place.terms:
-            term = f"%v{variable}" if stride == 1 else self.value(f"mul nsw i64 %v{variable}, {stride}")
-            whole = self.value(f"add nsw i64 {whole}, {term}") if whole else term
-        if not whole:
-            return str(place.offset)
-        return self.value(f"add nsw i64 {whole}, {place.offset}") if place.offset else whole
-
     def _each(self, each: Each) -> None:
         self._refuse_calls(each)
         head, inside, after = (self.name()[1:] for _ in range(3))
         counter, next_count = f"%v{each.counter}", self.name()
         team = self.target.team if each.is_parted else None
         first, stride = ("%part", "%num_parts") if team else ("0", "1")
-        begun, known, count = self.block, dict(self._angles), self._place(each.count)
+        begun, known, count = self.block, dict(self._angles), place_of(self, each.count)
         self._num_alone += 1
         self.line(f"br label %{head}")
         self.lines.append(f"{head}:")
@@ -472,13 +349,6 @@ class Writer:
         if self._barrier is None:
             return self.any(running)
         return self.value(f"{self._barrier.any}(i32 0, i1 {running})")
-
-    def any(self, truth: str) -> str:
-        """Whether it is true for an environment of the vector."""
-        if self.target.width == 1:
-            return truth
-        reduce = f"@llvm.vector.reduce.or.v{self.target.width}i1"
-        return self.value(f"call i1 {reduce}({self.target.truth} {truth})")
 
 
 def routines(program: Program, target: Target, memory: Memory) -> list[str]:
