@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-
+from mujoco_compiled.code.angles import reduced, turn
 from mujoco_compiled.code.lines import Lines
 from mujoco_compiled.code.spaces import place_of, read, store
 from mujoco_compiled.code.steps import Step, Write, num_operations
@@ -155,58 +154,9 @@ class Writer(Lines):
                 self.select(target, is_first, names[0], names[1])
 
     def _turn(self, target: str, operation: Operation, angle: str) -> None:
-        """Sine or cosine: of an angle below π/4 and its quadrant.
-
-        Source: Moshier's Cephes library, sinf.c: the polynomials; Cody and Waite (1980): the quadrant. Right
-        to 2 units in the last place below 8,000 rad.
-        """
         if angle not in self._angles:
-            self._angles[angle] = self._reduced(angle)
-        sine, cosine, quadrant = self._angles[angle]
-        target_, integer, truth = self.target, self.target.integer, self.target.truth
-        one, two = target_.splat("i32", "1"), target_.splat("i32", "2")
-        odd = self.value(f"trunc {integer} {quadrant} to {truth}")
-        if operation == "cos":
-            sine, cosine = cosine, sine
-            quadrant = self.value(f"add {integer} {quadrant}, {one}")
-        value = self.name()
-        self.select(value, odd, cosine, sine)
-        half = self.value(f"and {integer} {quadrant}, {two}")
-        sign = self.value(f"shl {integer} {half}, {target_.splat('i32', '30')}")
-        bits = self.value(f"bitcast {target_.number} {value} to {integer}")
-        turned = self.value(f"xor {integer} {bits}, {sign}")
-        self.line(f"{target} = bitcast {integer} {turned} to {target_.number}")
-
-    def _reduced(self, angle: str) -> tuple[str, str, str]:
-        """Sine and cosine of the angle less its quadrants, and the number of quadrants in the low bits."""
-        number, constant = self.target.number, self.target.constant
-        # Adding 1.5 · 2^23 rounds to an integer, which is then in the sum's low bits.
-        shifted = self._fused(angle, constant(2.0 / np.pi), constant(12582912.0))
-        quadrant = self.value(f"bitcast {number} {shifted} to {self.target.integer}")
-        count = self.value(f"fsub {number} {shifted}, {constant(12582912.0)}")
-        left = angle
-        for part in (1.5703125, 4.837512969970703125e-4, 7.54978995489188216e-8):
-            left = self._fused(count, constant(-part), left)
-        square = self.value(f"fmul {number} {left}, {left}")
-        sine = self._polynomial(square, (-1.9515295891e-4, 8.3321608736e-3, -1.6666654611e-1, 0.0))
-        cosine = self._polynomial(
-            square, (2.443315711809948e-5, -1.388731625493765e-3, 4.166664568298827e-2, -0.5, 1.0)
-        )
-        return self._fused(sine, left, left), cosine, quadrant
-
-    def _polynomial(self, x: str, coefficients: Sequence[float]) -> str:
-        """The highest power's coefficient first."""
-        value = self.target.constant(coefficients[0])
-        for coefficient in coefficients[1:]:
-            value = self._fused(value, x, self.target.constant(coefficient))
-        return value
-
-    def _fused(self, a: str, b: str, c: str) -> str:
-        """a b + c, rounded once."""
-        number = self.target.number
-        return self.value(
-            f"call {number} @llvm.fma.{self.target.suffix}({number} {a}, {number} {b}, {number} {c})"
-        )
+            self._angles[angle] = reduced(self, angle)
+        turn(self, target, operation, self._angles[angle])
 
     def _loop(self, loop: Loop) -> None:
         head, inside, after = (self.name()[1:] for _ in range(3))
