@@ -26,7 +26,7 @@ export const Deliveries = ({ items, what, onSent }) => html`<div class="table st
 function Again({ id, onSent }) {
   const [problem, setProblem] = useState(null);
   const send = () => post(`/deliveries/${id}/resend`).then(onSent, setProblem);
-  return html`<span><button type="button" onClick=${send} aria-label="Send ${id} again">Send again</button>
+  return html`<span><button type="button" onClick=${send} aria-label="Send again: ${id}">Send again</button>
     ${problem && html`<span class="error" role="alert">${problem.message}</span>`}</span>`;
 }
 
