@@ -72,6 +72,7 @@ function Sent({ webhook, path, query }) {
   return html`<section class="card stack">
     <h2>Sent to ${webhook.name} in the last week</h2>
     ${error && html`<${Failure} error=${error} again=${again} />`}
+    ${!data && !error && html`<${Loading} what="deliveries" />`}
     ${data && !data.items.length && html`<p class="facts">Nothing yet.</p>`}
     ${data?.items.length > 0 && html`<${Deliveries} items=${data.items} what="job" onSent=${mayChange(webhook) && again} />`}
     ${data && html`<${Pages} path=${["news"]} query=${query} next=${data.next} name="Pages of deliveries" first="Newest" more="Older ones" />`}

@@ -78,7 +78,7 @@ function Fields({ draft, setDraft, isNew, hint }) {
     setDraft((before) => ({ ...before, events: Object.keys(EVENTS).filter((one) => (one === event ? target.checked : before.events.includes(one))) }));
   return html`<div class="tools">
       ${isNew && html`<label>Name <input value=${draft.name} onInput=${set("name")} autocapitalize="off" placeholder="lab-chat" /></label>`}
-      <label>Address <input value=${draft.url} onInput=${set("url")} autocapitalize="off" placeholder=${hint} /></label>
+      <label class="long">Address <input value=${draft.url} onInput=${set("url")} autocapitalize="off" placeholder=${hint} /></label>
       <label>Of jobs <select value=${draft.jobs} onChange=${set("jobs")}>${Object.entries(JOBS).map(([name, text]) => html`<option key=${name} value=${name}>${text}</option>`)}</select></label>
     </div>
     <fieldset class="tools"><legend>When</legend>
