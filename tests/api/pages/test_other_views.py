@@ -353,6 +353,8 @@ def test_a_gpu_that_is_lent_says_to_whom_and_is_busy(stack: Stack, tab: Tab) -> 
     expect(lender).to_contain_text("gpu:1 of gpu:0,1, which jobs share out")
     for card in (owner, lender):
         expect(card.get_by_role("img", name=re.compile("busy for [89] % of the last day"))).to_be_visible()
+    owner.get_by_role("link", name=queued.id).click()
+    expect(page.get_by_text("on gpu:0,1", exact=True)).to_be_visible()
 
 
 def test_the_http_interface_is_there_without_another_network(tab: Tab) -> None:

@@ -146,7 +146,7 @@ function Attempts({ job }) {
       <thead><tr><th>#</th><th>Worker</th><th>Device</th><th>Engine</th><th>Started</th><th>Took</th><th>Ended because</th></tr></thead>
       <tbody>${job.attempts.map(
         (attempt) => html`<tr key=${attempt.number}>
-          <td data-label="#">${attempt.number}</td><td data-label="Worker"><span>${attempt.worker}${attempt.details.allocation && html`<br /><span class="facts">${allocated(attempt.details.allocation)}</span>`}</span></td><td data-label="Device">${attempt.device || "–"}</td>
+          <td data-label="#">${attempt.number}</td><td data-label="Worker"><span>${attempt.worker}${attempt.details.allocation && html`<br /><span class="facts">${allocated(attempt.details.allocation)}</span>`}${attempt.details.gpus?.includes(",") && html`<br /><span class="facts">on ${attempt.details.gpus}</span>`}</span></td><td data-label="Device">${attempt.device || "–"}</td>
           <td data-label="Engine">${attempt.engine || "–"}</td><td data-label="Started">${moment(attempt.started_at)}</td>
           <td data-label="Took">${duration(seconds(attempt.started_at, attempt.ended_at || Date.now()))}</td>
           <td data-label="Ended because">${attempt.reason ? html`<span>${attempt.reason}: <${Prose} text=${attempt.message || ""} /></span>` : "still running"}</td>
