@@ -116,7 +116,7 @@ def test_a_forecast_counts_the_gpus_of_each_job() -> None:
         [Share("gpu", ANN, 0.0, 70.0), Share("gpu", BEN, 0.0, 100.0)],
         NO_QUOTAS,
     )
-    found = forecasts_of(facts, MACHINE)
+    found = forecasts_of(facts, MACHINE, {})
     assert {name: one.starts_s for name, one in found.items()} == {"a": 0.0, "b": 100.0, "c": 200.0}
 
 

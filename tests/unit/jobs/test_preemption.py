@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from core.jobs.preemption import HEAD_START_S, LEAST_RUN_S, Holders, making_room, may_be_asked
-from core.jobs.queue import queue_names
+from core.jobs.queue import queue_name, queue_names
 from core.jobs.turns import Quota, Quotas, Request, Share, Started, TurnFacts
 from core.jobs.workers import WorkerInfo
 from tests.unit.jobs.making import NOON
@@ -99,6 +99,23 @@ def test_a_job_for_either_device_takes_a_free_one_first_and_one_room_is_enough()
     both = [runs("a", "gpu-host"), runs("b", "one")]
     assert drained([asks("x")], both, mixed) == {"x": ["a"]}
     assert drained([asks("x", kind="gaitway-cpu")], both, mixed) == {"x": ["b"]}
+
+
+def test_a_large_job_gets_room_of_as_many_as_it_needs_on_one_machine() -> None:
+    """Of four GPUs one is free, and one has a job that stays: two need one more, and four get none."""
+    queues = tuple(queue_name("gpu", "high", gpus) for gpus in (1, 2, 4))
+    machine = [
+        worker(name, name).model_copy(update={"pool": "gpu:0,1,2,3", "queues": queues})
+        for name in ("gpu:0", "gpu:1", "gpu:2", "gpu:3")
+    ]
+    started = [runs("a", "gpu:0", rank=0), runs("b", "gpu:1"), runs("c", "gpu:2", rank=2)]
+    pool = ["h/gpu:0,1,2,3"]
+    two, four = (Request("x", 0, ANN, gpus, kind=f"gaitway-gpu{gpus}") for gpus in (2, 4))
+    assert drained([two], started, machine, able=pool) == {"x": ["c"]}
+    assert drained([four], started, machine, able=pool) == {}
+    assert drained([four], [replace(one, rank=2) for one in started], machine, able=pool) == {
+        "x": ["a", "b", "c"]
+    }
 
 
 PEER = runs("a", "one", BEN, preemptible=True, age_s=LEAST_RUN_S)
