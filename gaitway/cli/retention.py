@@ -127,7 +127,7 @@ def _said(rules: RetentionView) -> str:
 
 
 def _print(seen: RetentionPreviewView) -> None:
-    print(f"{seen.jobs:,} jobs would lose {seen.files:,} files, {_size(seen.bytes)}.")
+    print(f"{_many(seen.jobs, 'job')} would lose {_many(seen.files, 'file')}, {_size(seen.bytes)}.")
     if seen.whole_jobs:
         print(f"{seen.whole_jobs:,} of these jobs would go as a whole.")
     if seen.roles:
@@ -144,12 +144,16 @@ def _print(seen: RetentionPreviewView) -> None:
     if seen.num_needed > len(seen.needed):
         print(f"So it is with {seen.num_needed - len(seen.needed):,} more.")
     if seen.pinned:
-        print(f"{seen.pinned:,} jobs with the label `keep` lose nothing.")
+        print(f"{_many(seen.pinned, 'job')} with the label `keep` would lose nothing.")
 
 
 def _row(one: RemovalView) -> tuple[str, ...]:
-    loses = "everything" if one.whole else f"{one.files:,} files ({', '.join(one.rules)})"
+    loses = "everything" if one.whole else f"{_many(one.files, 'file')} ({', '.join(one.rules)})"
     return (one.job, one.name or "", one.owner or "–", loses, _size(one.bytes))
+
+
+def _many(number: int, one: str) -> str:
+    return f"{number:,} {one}{'' if number == 1 else 's'}"
 
 
 def _size(size: int) -> str:

@@ -7,6 +7,7 @@ import { useLive } from "../lib/live.js";
 import { change } from "../lib/route.js";
 import { BusyHours, busyShare, percent } from "../parts/busy_hours.js";
 import { Failure, Loading } from "../parts/elements.js";
+import { Retention } from "../parts/retention.js";
 
 const WINDOWS = { 1: "the last day", 7: "the last 7 days", 30: "the last 30 days", 365: "the last year" };
 const DAY_MS = 86_400_000;
@@ -28,6 +29,7 @@ export default function Usage({ query }) {
     ${error && html`<${Failure} error=${error} again=${again} />`}
     ${!data && !error && html`<${Loading} what="usage" />`}
     ${data && html`<${Projects} usage=${data} /><${Devices} usage=${data} />`}
+    <${Retention} project=${query.get("project")} />
   </div>`;
 }
 

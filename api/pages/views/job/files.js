@@ -1,6 +1,6 @@
 /** A job's files. */
 
-import { bytes, count } from "../../lib/format.js";
+import { bytes, count, moment } from "../../lib/format.js";
 import { html } from "../../lib/html.js";
 import { isOver } from "../../lib/job.js";
 import { Empty } from "../../parts/elements.js";
@@ -21,6 +21,7 @@ export function FilesTab({ job }) {
         </tr>`,
       )}</tbody>
     </table></div>
+    ${job.removed?.map((one) => html`<p class="facts" key=${one.rule}>The project's retention rule ${one.rule} has removed ${count(one.files)} files of it, ${bytes(one.bytes)}, the last ${moment(one.at)}.</p>`)}
     ${pictures.length > 0 &&
     html`<div class="grid">${pictures.map(
       (file) => html`<figure class="card" key=${file.name}><img src=${file.href} alt=${file.name} loading="lazy" /><figcaption class="facts">${file.name}</figcaption></figure>`,
