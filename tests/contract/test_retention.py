@@ -121,6 +121,8 @@ def test_files_go_from_record_and_bucket_and_the_job_the_audit_log_and_a_refusal
         "checkpoints": (2, 2),
         "videos_days": (1, 1),
     }
+    # What is stored counts against quotas.
+    assert [used.bytes for used in job_store.usage(NOW).projects] == [3]
     resumed = queued_job(1, resume_from={"job": job.id, "step": 10}).spec
     assert resumed.source is not None
     with pytest.raises(Rejected) as refusal:
