@@ -6,16 +6,20 @@ same states in single precision, is the measure: a Go2's legs meet with a capsul
 where rounding decides at how many points they touch. Differences in half of the tries and in nine of ten, in
 parts of the motion, and those of C MuJoCo itself, measured 2026-11-28:
 
-go1 (feet)     1.3e-6 3.1e-6   9.3e-8 1.8e-7
-aliengo        1.2e-6 2.1e-3   5.0e-7 5.9e-3
-go1            3.5e-6 7.3e-4   8.9e-8 1.8e-7   (cylinders)
-go2            3.6e-3 5.2e-2   2.6e-3 2.5e-2
-b2             8.4e-3 5.7e-2   5.0e-4 1.1e-2   (ends of cylinders on boxes)
-mini_cheetah   1.0e-5 1.0e-2                   (meshes pass through each other in both)
-hyqreal2       8.1e-7 1.7e-6   1.6e-7 4.8e-7
-pegasus        5.4e-7 1.1e-6   1.6e-7 2.7e-7
-g1             1.9e-6 7.0e-6   1.8e-7 7.2e-7
-humanoid       4.0e-6 5.1e-5   3.3e-7 3.2e-6
+go1 (feet)     1.5e-6 4.1e-6   9.3e-8 1.8e-7
+g1 (feet)      9.4e-7 3.2e-6   9.2e-8 1.6e-7
+a2             4.7e-7 1.4e-6   7.4e-8 1.7e-7
+aliengo        1.2e-6 2.3e-3   5.0e-7 5.9e-3
+b2             7.8e-3 5.7e-2   5.0e-4 1.1e-2   (ends of cylinders on boxes)
+go1            7.1e-6 7.5e-4   8.9e-8 1.8e-7   (cylinders)
+go2            3.2e-3 3.3e-2   2.6e-3 2.5e-2
+hyqreal1       3.1e-6 6.3e-4                   (meshes pass through each other in both)
+hyqreal2       2.2e-6 8.3e-6   1.6e-7 4.8e-7
+mini_cheetah   4.2e-6 1.0e-2                   (meshes)
+pegasus        5.6e-7 1.1e-6   1.6e-7 2.7e-7
+spot           1.5e-5 5.5e-4                   (meshes)
+g1             2.3e-6 1.8e-5   1.8e-7 7.2e-7
+humanoid       5.1e-6 1.8e-5   3.3e-7 3.2e-6
 """
 
 from dataclasses import replace
