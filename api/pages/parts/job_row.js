@@ -38,6 +38,19 @@ export function Progress({ job }) {
   </div>`;
 }
 
+/** As `Progress`, in a narrow cell, without the speed, which has a column of its own. */
+export function Steps({ job }) {
+  const { step, total, eta_s: eta } = job.progress;
+  const isGoing = !isOver(job) && job.status !== "queued";
+  const phase = isGoing && phaseOf(job);
+  if (!total) return phase ? html`<span class="facts">${phase}…</span>` : null;
+  const isMoving = isGoing && ![PHASES.drawing, PHASES.testing].includes(phase);
+  return html`<div class="progress">
+    ${isGoing && html`<progress max=${total} value=${step} aria-label="Progress of ${job.name || job.id}"></progress>`}
+    <span class="facts" title="${count(step)} of ${count(total)} steps">${compact(step)} of ${compact(total)}${isMoving && eta ? html` · ${duration(eta)} left` : ""}${phase ? ` · ${phase}…` : ""}</span>
+  </div>`;
+}
+
 /** Labels; each is a link that `hrefOf` makes. */
 export const Labels = ({ labels, hrefOf }) => {
   const pairs = Object.entries(labels);

@@ -74,7 +74,7 @@ function Head({ sweep, objective, again }) {
     <div class="about-job">
       <${Status} job=${sweep} />
       <span class="facts">${counted || "no trial yet"}, of ${sweep.max_trials} at most · ${sweep.spec.method} · began ${ago(sweep.created_at)}${sweep.finished_at ? `, took ${duration(seconds(sweep.created_at, sweep.finished_at))}` : ""}${whose(sweep)}</span>
-      <a href=${href(["jobs"], { label: `sweep:${sweep.id}` })}>Its jobs</a>
+      <a href=${href(["jobs"], { sweep: sweep.id })}>Its jobs</a>
     </div>
     <${Labels} labels=${sweep.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
     ${sweep.message && html`<p class="message ${sweep.status}">${sweep.message}</p>`}

@@ -48,7 +48,7 @@ def pair(stack: Stack) -> list[Attempt]:
 def test_jobs_are_picked_and_compared(stack: Stack, tab: Tab, pair: list[Attempt]) -> None:
     page = tab.open()
     for name in ("seed 1", "seed 2"):
-        page.get_by_label(f"Compare {name}").check()
+        page.get_by_label(f"Choose {name}").check()
     page.get_by_role("link", name="Compare", exact=True).click()
     expect(page.get_by_role("heading", name="Compare 2 jobs")).to_be_visible()
     expect(page.get_by_role("img", name="seed 1: last 200 at 200")).to_be_visible()
