@@ -291,7 +291,7 @@ class GaitwayWorker(rq.Worker):
         """Whether all hosts are there, and its GPU is no other worker's."""
         if self._membership is None:
             return self._gang is None or self._gang.look()
-        may_take = self._membership.look()
+        may_take = self._membership.look(prepares=self._preparation.is_running)
         if self._membership.state == "lent":  # It is of use, and does not end for having no job.
             self._had_job_at = time.monotonic()
         self._order_queues()

@@ -163,11 +163,14 @@ class Membership:
         self._clock = clock
         self._kept, self._kept_until, self._kept_at = "", 0.0, frozenset[int]()
 
-    def look(self) -> bool:
-        """Look again: whether its GPU is free, and nothing is kept from it."""
+    def look(self, *, prepares: bool = False) -> bool:
+        """Look again: whether its GPU is free, and nothing is kept from it.
+
+        prepares: whether the worker itself uses its GPU, and would leave it for a job.
+        """
         free = self.pool.free()
         if free is not None:
-            self.free = free
+            self.free = free | {self.pool.own} if prepares else free
         if (why := self.pool.read_kept()) is not None:
             self._kept, self._kept_until, self._kept_at = why, self._clock() + _KEPT_S, self.free
         if self._clock() >= self._kept_until or self.free - self._kept_at:

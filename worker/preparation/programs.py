@@ -111,6 +111,11 @@ class IdlePreparation:
             command = [*self._command, self._device, *names]
             self._child = launch(command, _variables(self._device, os.environ), stdout=None, stderr=None)
 
+    @property
+    def is_running(self) -> bool:
+        """Whether it uses the device."""
+        return self._child is not None and self._child.poll() is None
+
     def stop(self) -> None:
         """End it with all its processes; the next `go_on` starts it again, unless it had come to its end."""
         if self._child is not None:

@@ -65,6 +65,7 @@ def test_a_worker_waits_while_its_gpu_is_lent_and_while_gpus_are_kept(pool: Pool
     with slot(pool.lock(1), 0.0):
         assert not membership.look()
         assert (membership.state, membership.free) == ("lent", {0, 2, 3})
+        assert membership.look(prepares=True)
     with slot(pool.lock(2), 0.0):
         pool.note_kept("The job a comes first.")
         assert not membership.look()
