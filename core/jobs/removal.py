@@ -93,8 +93,9 @@ def preview(project: str, rules: RetentionRules, store: JobStore, *, most: int) 
             found.jobs += 1
             found.whole_jobs += removal.is_whole
             for file in removal.all_files:
-                roles[file.role].files += file.number
-                roles[file.role].size += file.size
+                role = roles[file.role]
+                role.files += file.number
+                role.size += file.size
             entry = (removal.num_bytes, removal.job.id, removal)
             if len(largest) < most:
                 heapq.heappush(largest, entry)

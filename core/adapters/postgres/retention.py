@@ -157,8 +157,9 @@ class RetentionQueries(Session):
     def sums_of_ended(self, job_ids: Collection[str]) -> Mapping[str, Sequence[RetainedFile]]:
         by_job = defaultdict[str, list[RetainedFile]](list)
         with self._statements() as connection:
-            for job_id, role, size, number in connection.execute(_SUMS, {"ids": [*job_ids]}):
-                by_job[job_id].append(RetainedFile(role, role, None, int(size), number))
+            found = connection.execute(_SUMS, {"ids": [*job_ids]}).all()
+        for job_id, role, size, number in found:
+            by_job[job_id].append(RetainedFile(role, role, None, int(size), number))
         return by_job
 
     def checkpoint_needs(self, project: str) -> Mapping[str, Sequence[Need]]:
