@@ -119,6 +119,7 @@ ROUTES: Mapping[str, Access] = {
     "POST /sweeps": _submits("sweep.submitted"),
     "GET /sweeps": _READ,
     "GET /sweeps/{sweep_id}": _READ,
+    "PATCH /sweeps/{sweep_id}": _changes("sweep.changed"),
     "POST /sweeps/{sweep_id}/cancel": _changes("sweep.cancelled"),
     "POST /sweeps/{sweep_id}/resume": _changes("sweep.resumed"),
     "DELETE /sweeps/{sweep_id}": _changes("sweep.deleted"),

@@ -211,6 +211,7 @@ def _sweep_facts(sweep: Sweep, trials: Sequence[Trial], seen: Sequence[TrialView
         ),
         "name": spec.name,
         "labels": spec.labels,
+        "note": spec.note,
         "spec": spec.model_dump(mode="json"),
         "num_trials": dict(Counter(view.status for view in views.values())),
         "max_trials": num_trials(spec, trials),

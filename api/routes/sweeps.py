@@ -1,4 +1,4 @@
-"""Sweeps: submit, list, read, cancel, resume, delete."""
+"""Sweeps: submit, list, read, change, cancel, resume, delete."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
@@ -11,7 +11,16 @@ from api.dependencies import QueryParameters, Service, ServiceDep, id_in_path
 from api.openapi import EXAMPLES
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
 from api.routes.jobs import Cursor
-from api.submissions import RESUMPTION, IdempotencyKey, JsonBody, SubmittedSweep, idempotency, parse
+from api.submissions import (
+    RESUMPTION,
+    IdempotencyKey,
+    JsonBody,
+    PatchBody,
+    SubmittedSweep,
+    idempotency,
+    parse,
+    patch_of,
+)
 from api.views import Listing, answer, sweep_details, sweep_view
 from core.errors import (
     IdempotencyKeyReused,
@@ -25,8 +34,9 @@ from core.errors import (
     TooManySweeps,
 )
 from core.jobs.job import JOB_ID, Job, UnreadableJob, check_job_id
+from core.jobs.patch import JOB_PATCH
 from core.jobs.spec import Text
-from core.sweeps.actions import cancel_sweep, delete_sweep, resume_sweep, submit_sweep
+from core.sweeps.actions import cancel_sweep, delete_sweep, patch_sweep, resume_sweep, submit_sweep
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
 from gaitway.schema import SweepDetails, SweepView
 
@@ -118,6 +128,23 @@ def list_sweeps(
 def read(sweep_id: SweepId, service: ServiceDep) -> Response:
     """A sweep as it is now, with its trials, the best so far, and the importance of its axes."""
     return answer(_details(service.store.get_sweep(sweep_id), service))
+
+
+@router.patch(
+    "/sweeps/{sweep_id}",
+    response_model=SweepDetails,
+    openapi_extra=patch_of(JOB_PATCH),
+    response_description="The sweep as it is now",
+    responses=refusals(
+        MalformedBody, SweepNotFound, BodyTooLarge, UnsupportedMediaType, Rejected, RecordsUnavailable
+    ),
+)
+def change(sweep_id: SweepId, body: PatchBody, service: ServiceDep) -> Response:
+    """Change a sweep's name, labels and note by a JSON merge patch (RFC 7396), at any time.
+
+    Trials that begin after that get the labels; those that have begun are jobs with labels of their own.
+    """
+    return answer(_details(patch_sweep(sweep_id, parse(body, JOB_PATCH), store=service.store), service))
 
 
 @router.post(

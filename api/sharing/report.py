@@ -37,6 +37,7 @@ _STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:64rem;margin:2rem auto;padding:0 1rem}
 body{background:var(--paper);overflow-wrap:anywhere}
 h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem}
+.note{white-space:pre-wrap}
 .soft{color:var(--soft)}video{max-width:100%;height:auto}figure{margin:1rem 0}.chart h2{margin:0}
 .halves{display:grid;gap:1rem;grid-template-columns:repeat(auto-fit,minmax(min(20rem,100%),1fr))}
 .table{overflow-x:auto}table{border-collapse:collapse;width:100%}

@@ -37,6 +37,8 @@ def facts(job: Job) -> str:
         told.append(f"imported: job {origin.job} of a service with Gaitway {origin.version}")
     told += [f"{name}: {value}" for name, value in job.spec.labels.items()]
     lines = f'<p class="soft">{escape(" · ".join(told))}</p>'
+    if job.spec.note is not None:
+        lines += f'<p class="note">{escape(job.spec.note)}</p>'
     if not job.status.is_final:
         lines += "<p>The job has not ended: this is how it stood when the file was made.</p>"
     elif job.reason is not None and job.reason != "completed":

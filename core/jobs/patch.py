@@ -1,4 +1,4 @@
-"""A job's name, labels and note: what people call it and say of it.
+"""The name, labels and note of a job or a sweep: what people call it and say of it.
 
 They stand in its specification, and may change at any time: they steer nothing.
 """
@@ -31,26 +31,25 @@ JOB_PATCH: TypeAdapter[JobPatch] = TypeAdapter(JobPatch)
 
 
 def patched(spec: Mapping[str, Any], patch: JobPatch) -> dict[str, Any]:
-    """The specification, as JSON, under the patch. Raises Rejected where it would be too large."""
-    changes = patch.model_dump(exclude_unset=True)
-    if changes.get("labels") is not None:
-        changes["labels"] = _merged(spec.get("labels"), changes["labels"])
-    changed = {name: value for name, value in {**spec, **changes}.items() if not _is_removed(name, changes)}
+    """A job's specification, as JSON, under the patch. Raises Rejected where it would be too large."""
+    changed = merged(spec, patch)
     if (number := len(changed.get("labels", {}))) > MOST_LABELS:
         _refuse(f"The job would have {number} labels; at most {MOST_LABELS} are allowed.", "/labels")
-    if changes and (size := json_bytes(changed)) > LARGEST_JOB_BYTES:
+    if changed != spec and (size := json_bytes(changed)) > LARGEST_JOB_BYTES:
         _refuse(f"The job would have {size:,} bytes as JSON; at most {LARGEST_JOB_BYTES:,} are allowed.", "")
     return changed
 
 
-def _is_removed(name: str, changes: Mapping[str, Any]) -> bool:
-    return name in changes and changes[name] is None
-
-
-def _merged(labels: object, changes: Mapping[str, str | None]) -> dict[str, Any]:
-    # A record that cannot be read may have anything in their place.
-    had = cast("dict[str, Any]", labels) if isinstance(labels, dict) else {}
-    return {name: value for name, value in {**had, **changes}.items() if value is not None}
+def merged(spec: Mapping[str, Any], patch: JobPatch) -> dict[str, Any]:
+    """A specification of a job or a sweep, as JSON, under the patch."""
+    changes = patch.model_dump(exclude_unset=True)
+    if changes.get("labels") is not None:
+        # A record that cannot be read may have anything in their place.
+        had = cast("dict[str, Any]", spec["labels"]) if isinstance(spec.get("labels"), dict) else {}
+        labels: dict[str, Any] = {**had, **changes["labels"]}
+        changes["labels"] = {name: value for name, value in labels.items() if value is not None}
+    removed = {name for name, value in changes.items() if value is None}
+    return {name: value for name, value in {**spec, **changes}.items() if name not in removed}
 
 
 def _refuse(detail: str, pointer: str) -> None:

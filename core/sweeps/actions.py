@@ -1,4 +1,4 @@
-"""Submits, cancels, resumes and deletes a sweep for its user."""
+"""Submits, changes, cancels, resumes and deletes a sweep for its user."""
 
 from collections.abc import Collection
 from contextlib import suppress
@@ -9,12 +9,13 @@ from pydantic import ValidationError
 from core.accounts.principal import NOBODYS, Ownership
 from core.errors import Problem, Rejected, StaleSweep, SweepFinished, SweepNotFinished, TooManySweeps
 from core.jobs.job import new_job_id
+from core.jobs.patch import JobPatch, merged
 from core.jobs.quotas import check_quotas
 from core.jobs.spec import JobSpec
 from core.jobs.store import Idempotency
 from core.jobs.submission import check_notify, check_readable_model, check_readable_source
 from core.sweeps.axes import axis_place, job_of
-from core.sweeps.checks import check_budget, checked, in_the_job
+from core.sweeps.checks import check_budget, check_labels, checked, in_the_job
 from core.sweeps.spec import Budget, Range, SweepSpec
 from core.sweeps.sweep import Sweep, SweepStatus, SweepStore
 
@@ -91,6 +92,26 @@ def check_room(store: SweepStore) -> None:
     """Before one more sweep runs. Raises TooManySweeps."""
     if store.num_active_sweeps() >= MOST_ACTIVE:
         raise TooManySweeps(MOST_ACTIVE)
+
+
+def patch_sweep(sweep_id: str, patch: JobPatch, *, store: SweepStore) -> Sweep:
+    """Change its name, labels and note; trials that begin after that get the labels.
+
+    Raises SweepNotFound; Rejected where it would have too many labels.
+    """
+    while True:
+        sweep = store.get_sweep(sweep_id)
+        said = merged(sweep.spec.model_dump(include={"name", "labels", "note"}), patch)
+        changes = {name: said.get(name, {} if name == "labels" else None) for name in patch.model_fields_set}
+        spec = sweep.spec.model_copy(update=changes)
+        check_labels(spec)
+        if spec == sweep.spec:
+            return sweep
+        try:
+            store.save_sweep(changed := sweep.next(spec=spec))
+        except StaleSweep:
+            continue
+        return changed
 
 
 def cancel_sweep(sweep_id: str, *, store: SweepStore) -> Sweep:

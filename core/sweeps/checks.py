@@ -55,7 +55,7 @@ def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
         resolved = resolve_job(spec.job, store)
     except Rejected as error:
         raise in_the_job(error) from None
-    _check_labels(spec)
+    check_labels(spec)
     _check_axes(spec, resolved.info)
     spec = spec.model_copy(update={"parameters": _with_fractions(spec, resolved.info)})
     _check_number(spec)
@@ -152,7 +152,7 @@ def _check_length(spec: SweepSpec, trials: Sequence[Trial]) -> None:
         )
 
 
-def _check_labels(spec: SweepSpec) -> None:
+def check_labels(spec: SweepSpec) -> None:
     """A job has 64 labels at most, and a trial gets `sweep` and `trial` besides."""
     if len({*spec.job.labels, *spec.labels}) > _MAX_LABELS:
         _refuse(f"The job and the sweep have more than {_MAX_LABELS} labels together.", "/labels")

@@ -7,7 +7,7 @@ from pydantic import Discriminator, Field, JsonValue, Tag, TypeAdapter, model_va
 from core.accounts.principal import AccountName
 from core.bounds import LARGEST_AXIS_BYTES, within
 from core.documents import Strict
-from core.jobs.spec import LabelName, Seed, SentSpec, Text
+from core.jobs.spec import LabelName, Note, Seed, SentSpec, Text
 
 # More would be a queue that nobody reads, and a study that takes a sampler seconds for each draw.
 MAX_TRIALS = 1000
@@ -201,6 +201,7 @@ class SweepSpec(Strict):
         default=None, description="That of all trials; by default the one that `job` says."
     )
     labels: dict[LabelName, Text] = Field(default={}, max_length=60, description="The trials get them, too.")
+    note: Note | None = Field(default=None, description="Plain text about it, for people.")
     job: SentSpec
     method: Method = "random"
     parameters: dict[AxisName, Axis] = Field(

@@ -37,6 +37,11 @@ class AsyncSweeps(AsyncConnection):
         """Sweeps, newest first, without their trials; at most `limit`."""
         return self._all("/sweeps", SweepDetails, limit, {"status": status} if status is not None else {})
 
+    async def change_sweep(self, sweep_id: str, **changes: Any) -> SweepDetails:
+        """Change its name, labels and note, as a job's by `change`; its next trials get the labels."""
+        answer = await self._request("PATCH", path_of("sweeps", sweep_id), json=changes)
+        return SweepDetails.model_validate_json(answer.content, context=self)
+
     async def cancel_sweep(self, sweep_id: str) -> SweepDetails:
         """Start no more trials, and cancel those that run; they keep their work."""
         return await self._post(path_of("sweeps", sweep_id, "cancel"), SweepDetails)

@@ -35,28 +35,44 @@ Owner = Annotated[str | None, typer.Option(help="A user's name.")]
 Project = Annotated[str | None, typer.Option(help="One of yours.")]
 
 
+NewName = Annotated[str | None, typer.Option("--name", help='"" takes it away.')]
+NewLabels = Annotated[list[str] | None, typer.Option("--label", metavar="KEY=VALUE", help="Repeatable.")]
+WithoutLabels = Annotated[
+    list[str] | None, typer.Option("--without-label", metavar="KEY", help="Repeatable.")
+]
+NewNote = Annotated[str | None, typer.Option("--note", help='"" takes it away; `-` reads stdin.')]
+
+
 def change(  # noqa: PLR0913 # A command line's options.
     context: typer.Context,
     job: JobName,
-    name: Annotated[str | None, typer.Option(help='"" takes it away.')] = None,
-    label: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE", help="Repeatable.")] = None,
-    without_label: Annotated[list[str] | None, typer.Option(metavar="KEY", help="Repeatable.")] = None,
-    note: Annotated[str | None, typer.Option(help='"" takes it away; `-` reads stdin.')] = None,
+    name: NewName = None,
+    label: NewLabels = None,
+    without_label: WithoutLabels = None,
+    note: NewNote = None,
     as_json: AsJson = False,
 ) -> None:
     """Rename a job, change its labels, or note something about it, also while it runs."""
-    labels = dict[str, str | None](map(label_of, label or ())) | dict.fromkeys(without_label or ())
-    text = sys.stdin.read() if note == "-" else note
-    given = {"name": name, "labels": labels or None, "note": text}
-    changes = {what: value or None for what, value in given.items() if value is not None}
-    if not changes:
-        raise wrong_usage("Nothing changes: give --name, --label, --without-label or --note.")
+    changes = changes_of(name, label, without_label, note)
     client = client_of(context)
     found = client.change(job_id(client, job), **changes)
     if as_json:
         print_json(found)
     else:
         print(f"Job {found.id} is changed.")
+
+
+def changes_of(
+    name: str | None, label: Sequence[str] | None, without_label: Sequence[str] | None, note: str | None
+) -> Mapping[str, Any]:
+    """The fields that change, None for one that is taken away. Raises typer.Exit(2) where there is none."""
+    labels = dict[str, str | None](map(label_of, label or ())) | dict.fromkeys(without_label or ())
+    text = sys.stdin.read() if note == "-" else note
+    given = {"name": name, "labels": labels or None, "note": text}
+    changes = {what: value or None for what, value in given.items() if value is not None}
+    if not changes:
+        raise wrong_usage("Nothing changes: give --name, --label, --without-label or --note.")
+    return changes
 
 
 def cancel(  # noqa: PLR0913 # A command line's options.

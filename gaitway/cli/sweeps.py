@@ -1,4 +1,4 @@
-"""`gaitway sweep`: start one; `gaitway sweeps`: list, show, cancel, resume, delete."""
+"""`gaitway sweep`: start one; `gaitway sweeps`: list, show, change, cancel, resume, delete."""
 
 import time
 from collections.abc import Iterable, Mapping
@@ -12,6 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from gaitway.cli.changes import NewLabels, NewName, NewNote, WithoutLabels, changes_of
 from gaitway.cli.common import AsJson, CommandGroup, Yes, client_of, confirm, full_id, print_json
 from gaitway.cli.progress import duration
 from gaitway.cli.submit import read
@@ -79,6 +80,26 @@ def show(
         print_json(found)
     elif not watch:
         Console().print(_state(found))
+
+
+@sweeps.command()
+def change(  # noqa: PLR0913 # A command line's options.
+    context: typer.Context,
+    sweep: SweepName,
+    name: NewName = None,
+    label: NewLabels = None,
+    without_label: WithoutLabels = None,
+    note: NewNote = None,
+    as_json: AsJson = False,
+) -> None:
+    """Rename a sweep, change its labels, or note something about it; its next trials get the labels."""
+    changes = changes_of(name, label, without_label, note)
+    client = client_of(context)
+    found = client.change_sweep(_id(client, sweep), **changes)
+    if as_json:
+        print_json(found)
+    else:
+        print(f"Sweep {found.id} is changed.")
 
 
 @sweeps.command()
@@ -187,7 +208,7 @@ def _state(sweep: SweepDetails) -> RenderableType:
     """All there is to see of one sweep."""
     counted = ", ".join(f"{number} {status}" for status, number in sweep.num_trials.items())
     lines = [f"Sweep {sweep.id} {sweep.status}: {counted or 'no trial yet'}, of {sweep.max_trials} at most"]
-    lines += [sweep.message] if sweep.message else []
+    lines += [one for one in (sweep.name, sweep.note, sweep.message) if one]
     lines += [
         f"importance for {metric}: " + ", ".join(f"{axis} {share:.0%}" for axis, share in _by_share(shares))
         for metric, shares in (sweep.importance or {}).items()

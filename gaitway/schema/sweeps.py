@@ -55,6 +55,7 @@ class SweepView(View):
     id: str = Field(examples=["019aa3c2f0b1-5be0c1d2e3"])
     name: str | None = None
     labels: dict[str, str] = {}
+    note: str | None = Field(None, description="Plain text about it, for people.")
     owner: str | None = Field(None, description="A user's name; null without accounts.")
     project: str = "default"
     status: SweepStatus

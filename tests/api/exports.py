@@ -16,7 +16,7 @@ Change = Callable[[dict[str, bytes]], None]
 
 def trained(stack: Stack, **spec: Any) -> Attempt:
     """A job with every kind of file, metrics and a log, which has not ended."""
-    attempt = Attempt(stack, job(name="first", labels={"project": "gaits"}, **spec))
+    attempt = Attempt(stack, job(name="first", labels={"project": "gaits"}, note="A note.", **spec))
     used = stack.http.get(f"/jobs/{attempt.id}/specification").json()["algorithm"]
     attempt.claim.start(details={"hyperparameters": used})
     for step in (100, 200):

@@ -207,7 +207,7 @@ def test_a_report_has_the_video_inside_byte_by_byte(stack: Stack, size: int) -> 
 
 
 def test_markup_in_names_logs_and_metrics_is_text_and_nothing_runs(stack: Stack) -> None:
-    attempt = Attempt(stack, job(name=EVIL, labels={"l": EVIL}))
+    attempt = Attempt(stack, job(name=EVIL, labels={"l": EVIL}, note=EVIL))
     attempt.say("metrics", step=7, values={EVIL: 1.0, "eval/episode_reward": 2.0})
     attempt.print(EVIL)
     attempt.end(JobStatus.FAILED, Reason.DIVERGED)
@@ -220,7 +220,7 @@ def test_markup_in_names_logs_and_metrics_is_text_and_nothing_runs(stack: Stack)
         '<script type="module">',
     ]
     assert report.text.count("</script>") == 3
-    assert report.text.count("&lt;img") >= 4
+    assert report.text.count("&lt;img") >= 5
     assert "sandbox" in report.headers["content-security-policy"]
 
 

@@ -189,6 +189,30 @@ def test_a_cancel_takes_all_trials_with_it_and_a_resumed_sweep_goes_on(
     )
 
 
+def test_a_sweep_is_changed_and_its_next_trials_have_its_labels(
+    stack: Stack, look: Callable[[], int]
+) -> None:
+    spec = {"job": {"kind": "train", "environment": "ant"}, "method": "grid", "parameters": {"seed": [1, 2]}}
+    sent = {**spec, "name": "a", "labels": {"draft": "1"}, "budget": {"parallel": 1}}
+    here = stack.http.post("/sweeps", json=sent).headers["Location"]
+    look()
+    patch = {"name": None, "labels": {"team": "legs", "draft": None}, "note": "Compare\nwith the last."}
+    answer = stack.http.patch(here, json=patch)
+    assert answer.json() == stack.http.get(here).json()
+    assert (answer.json()["name"], answer.json()["labels"]) == (None, {"team": "legs"})
+    assert answer.json()["note"] == patch["note"] == answer.json()["spec"]["note"]
+    first = stack.http.get("/jobs").json()["items"][0]
+    stack.http.post(f"/jobs/{first['id']}/cancel")
+    look()
+    look()
+    second = stack.http.get("/jobs").json()["items"][0]
+    assert [{"team", "draft"} & set(one["labels"]) for one in (first, second)] == [{"draft"}, {"team"}]
+    many = {"labels": {f"l{n}": "" for n in range(63)}}
+    document = problem(stack.http.patch(here, json=many), 422, "invalid-request")
+    assert "labels together" in document["detail"]
+    problem(stack.http.patch("/sweeps/019aa3c2f0b1-5be0c1d2e3", json={}), 404, "sweep-not-found")
+
+
 def test_a_deleted_sweep_leaves_its_jobs(stack: Stack, look: Callable[[], int]) -> None:
     here = post(stack, parameters={"seed": [1]}).json()["links"]["self"]
     look()

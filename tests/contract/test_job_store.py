@@ -22,6 +22,7 @@ from core.errors import (
     StaleJob,
 )
 from core.jobs.job import Job, Progress, UnreadableJob, new_job_id
+from core.jobs.patch import JobPatch
 from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, Idempotency, JobQuery, JobStore
 from core.reasons import Reason
@@ -137,6 +138,25 @@ class TestJobs:
             {"status": "running", "reason": None, "message": None, "attempt": 1},
             {"status": "failed", "reason": "diverged", "message": "NaN at 7", "attempt": 1},
         ]
+
+    def test_a_patch_and_the_steps_of_an_attempt_take_nothing_from_each_other(self, jobs: JobStore) -> None:
+        claimed = held(jobs, queued_job(name="a", labels={"team": "legs"}))
+        patched = jobs.patch(claimed.id, JobPatch(name="b", labels={"knee": "soft"}, note="Watch it."))
+        jobs.save(claimed.running(device="cpu"))  # It has read the job before the patch.
+        found = jobs.get(claimed.id)
+        assert isinstance(patched, Job)
+        assert (found.spec, patched.token, patched.version) == (patched.spec, claimed.token, claimed.version)
+        assert (found.spec.name, found.spec.note) == ("b", "Watch it.")
+        assert found.spec.labels == {"team": "legs", "knee": "soft"}
+        jobs.patch(claimed.id, JobPatch(name=None))
+        assert jobs.list(JobQuery(search="WATCH")).jobs == [jobs.get(claimed.id)]
+        assert jobs.list(JobQuery(name="b")).jobs == []
+
+    def test_of_many_patches_at_once_all_stand(self, jobs: JobStore) -> None:
+        job = jobs.add(queued_job())
+        steps = [partial(jobs.patch, job.id, JobPatch(labels={f"l{n}": ""})) for n in range(6)]
+        assert at_once(steps, StaleJob) == [True] * 6
+        assert set(jobs.get(job.id).spec.labels) == {f"l{n}" for n in range(6)}
 
     def test_artifacts_are_replaced_kept_and_struck_in_their_order(self, jobs: JobStore) -> None:
         claimed = held(jobs, queued_job())
@@ -508,6 +528,21 @@ class TestUnreadable:
         jobs.delete(job.id, jobs.find(job.id).version)
         with pytest.raises(JobNotFound):
             jobs.find(job.id)
+
+    def test_it_can_be_patched_unless_it_is_damaged(self, jobs: JobStore, database: Database) -> None:
+        job = jobs.add(queued_job(name="a"))
+        later = '{"kind": "distil", "name": "a", "teacher": {"job": "x"}}'
+        database.damage(job, spec=later)
+        patched = jobs.patch(job.id, JobPatch(labels={"team": "legs"}, note="It is of a later version."))
+        assert isinstance(patched, UnreadableJob)
+        assert (patched.name, patched.labels) == ("a", {"team": "legs"})
+        assert patched.note == patched.spec["note"] == "It is of a later version."
+        assert patched.spec["teacher"] == {"job": "x"}
+        database.damage(job, spec="{")
+        with pytest.raises(JobUnreadable):
+            jobs.patch(job.id, JobPatch(name="b"))
+        with pytest.raises(JobNotFound):
+            jobs.patch(new_job_id(NOW), JobPatch(name="b"))
 
     def test_one_of_an_unknown_status_counts_as_running(self, jobs: JobStore, database: Database) -> None:
         job = queued_job()

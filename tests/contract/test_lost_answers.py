@@ -14,6 +14,7 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobExists, JobNotFound, LeaseLost, RecordsUnavailable, StaleJob
 from core.jobs.attempts import Claim, claim_attempt
 from core.jobs.job import Job, Progress
+from core.jobs.patch import JobPatch
 from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, Idempotency, JobQuery
 from core.reasons import Reason
@@ -209,6 +210,7 @@ class TestLostAnswers:
         for write in (
             partial(jobs.renew, job.id, job.token, LEASE),
             partial(jobs.beat, LEASE),
+            partial(jobs.patch, job.id, JobPatch(name="b")),
             partial(jobs.dispatched, [Dispatch("attempt", waiting.id, 1)]),
             partial(jobs.add_model, model(status="validating")),
             partial(jobs.model_dispatched, MODEL),

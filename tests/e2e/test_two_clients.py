@@ -231,6 +231,8 @@ def _sweeps(stack: Stack, client: Either) -> None:
     assert len(client.get_sweep(sweep.id).trials) == 2
     with pytest.raises(WaitTimeout):
         client.wait_for_sweep(sweep.id, timeout=0.01)
+    changed = client.change_sweep(sweep.id, name="seeds", labels={"team": "legs"}, note="Of the knees.")
+    assert (changed.name, changed.labels, changed.note) == ("seeds", {"team": "legs"}, "Of the knees.")
     assert client.cancel_sweep(sweep.id).status == "cancelling"
     look()
     look()

@@ -63,7 +63,8 @@ export async function fromAddress(query) {
     if (query.get("seed")) chosen.seed = Number(query.get("seed"));
     return { kind: "rollout", name: `${title(job)}, rolled out`, environment, policy: { kind: "checkpoint", ...chosen } };
   }
-  const draft = { ...job.spec, environment };
+  const { note, ...spec } = job.spec; // It is about that run.
+  const draft = { ...spec, environment };
   return query.get("fork") ? { ...further(draft, job, checkpoint.step), name: `${title(job)}, forked`, resume_from: checkpoint } : draft;
 }
 

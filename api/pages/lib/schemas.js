@@ -73,8 +73,8 @@ export function boundsOf({ type, minimum, exclusiveMinimum, maximum, exclusiveMa
   return [low, high].filter(Boolean).join(", ");
 }
 
-// `kind` says what the other fields are; name and labels change no result.
-const FIXED = new Set(["kind", "name", "labels", "environment"]);
+// `kind` says what the other fields are; name, labels and note change no result.
+const FIXED = new Set(["kind", "name", "labels", "note", "environment"]);
 const OPTIONS = "environment.options.";
 
 /** The devices that a job may run on. */

@@ -19,7 +19,7 @@ export function seedLines(curves, name, tools, job, colour = "--curve-1", before
 }
 
 /** What identifies a setting: the specification without what a repetition changes. */
-const settingOf = ({ spec }) => JSON.stringify(sorted({ ...spec, seed: 0, name: "", labels: {} }));
+const settingOf = ({ spec }) => JSON.stringify(sorted({ ...spec, seed: 0, name: "", labels: {}, note: "" }));
 
 const sorted = (value) =>
   value && typeof value === "object" && !Array.isArray(value)

@@ -32,6 +32,9 @@ export const isAdmin = () => present.who !== null && rank(present.who) === ROLES
 /** Whether one may submit jobs, and add webhooks. */
 export const maySubmit = () => !present.accounts || (present.who !== null && rank(present.who) >= ROLES.indexOf("submitter"));
 
+/** Whether one may change, cancel or delete what has this owner. */
+export const mayChange = ({ owner }) => !present.accounts || isAdmin() || (maySubmit() && owner === present.who.user);
+
 /** Scopes of tokens that one may make. */
 export const scopesToMake = () => [...Object.values(SCOPES).slice(0, rank(present.who) + 1), ...(isAdmin() ? ["worker"] : [])];
 

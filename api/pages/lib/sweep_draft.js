@@ -23,7 +23,10 @@ const OF_TRIALS = ["sweep", "trial"];
 
 /** The draft that an address asks for: a sweep `again`, a `job` as JSON, one to begin `from`, or an `environment`. Raises an Error. */
 export async function draftFrom(query) {
-  if (query.get("again")) return draftOf((await get(`/sweeps/${encodeURIComponent(query.get("again"))}`)).spec);
+  if (query.get("again")) {
+    const { note, ...spec } = (await get(`/sweeps/${encodeURIComponent(query.get("again"))}`)).spec; // It is about that sweep.
+    return draftOf(spec);
+  }
   const written = query.get("job");
   if (written) return readDraft(written, EMPTY);
   const job = await fromAddress(query);

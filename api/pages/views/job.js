@@ -4,12 +4,14 @@ import { everyItem, get, post, remove } from "../lib/api.js";
 import { duration, moment, seconds } from "../lib/format.js";
 import { html, useState } from "../lib/html.js";
 import { useCurrentInSight } from "../lib/in_sight.js";
-import { algorithmOf, environmentOf, isOver, labelsOf, ofSeed, seedsOf, title, whyQueued } from "../lib/job.js";
+import { algorithmOf, environmentOf, isOver, ofSeed, seedsOf, title, whyQueued } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
 import { useJob } from "../lib/live_job.js";
 import { change, go, href, useTitle } from "../lib/route.js";
+import { mayChange } from "../lib/session.js";
+import { About, Edit } from "../parts/about.js";
 import { Confirm, Empty, Failure, Loading, Prose } from "../parts/elements.js";
-import { Labels, Progress, Status } from "../parts/job_row.js";
+import { Progress, Status } from "../parts/job_row.js";
 import { whose } from "../parts/whose.js";
 import { CurvesTab } from "./job/curves.js";
 import { FilesTab } from "./job/files.js";
@@ -73,6 +75,7 @@ function headline(job) {
 /** isBrief: on a phone, without what the overview says. */
 function Head({ job, again, isBrief }) {
   const [problem, setProblem] = useState(null);
+  const [isEdited, setEdited] = useState(false);
   const act = (action) => async () => {
     setProblem(null);
     try {
@@ -92,6 +95,7 @@ function Head({ job, again, isBrief }) {
         <a class="button quiet" href=${href(["sweeps", "new"], { from: job.id })}>Sweep over these settings</a>
         <a class="button quiet" href=${job.links.report} target="_blank" rel="noopener" title="A report as one HTML file">Share</a>
         <a class="button quiet" href=${job.links.export} download=${`${job.id}.zip`} title="All that is needed to run it again elsewhere, as a zip">Export</a>
+        ${mayChange(job) && html`<button type="button" aria-expanded=${isEdited} onClick=${() => setEdited(!isEdited)} title="Its name, labels and note">Edit</button>`}
         ${!isOver(job) && html`<${Confirm} text="Cancel" question="Stop it, and keep its work so far?" onYes=${cancel} />`}
         ${isOver(job) && html`<${Confirm} text="Delete" question="Delete the job and its files for good?" onYes=${discard} isDangerous />`}
       </div>
@@ -103,7 +107,7 @@ function Head({ job, again, isBrief }) {
       <${Origin} job=${job} />
       <${Progress} job=${job} />
     </div>
-    <${Labels} labels=${labelsOf(job)} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
+    ${isEdited ? html`<${Edit} what="job" job=${job} onEnd=${(isSaved) => (setEdited(false), isSaved && again())} />` : html`<${About} job=${job} />`}
     ${problem && html`<${Failure} error=${problem} />`}
     <${Message} job=${job} />
   `;

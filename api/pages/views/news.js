@@ -4,7 +4,7 @@ import { get, post, remove } from "../lib/api.js";
 import { html, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { change, href } from "../lib/route.js";
-import { isAdmin, maySubmit, session } from "../lib/session.js";
+import { mayChange, maySubmit } from "../lib/session.js";
 import { Deliveries } from "../parts/deliveries.js";
 import { Confirm, Failure, Loading, Pages } from "../parts/elements.js";
 import { useProjects } from "../parts/whose.js";
@@ -41,8 +41,6 @@ export default function News({ query }) {
 
 /** The address of a webhook, by that of its project's. */
 const of = (path, name) => `${path}/${encodeURIComponent(name)}`;
-
-const mayChange = ({ owner }) => !session().accounts || isAdmin() || (maySubmit() && owner === session().who.user);
 
 function Row({ webhook, path, again, change: begin }) {
   const [problem, setProblem] = useState(null);

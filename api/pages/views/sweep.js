@@ -6,9 +6,11 @@ import { isFinal } from "../lib/events.js";
 import { html, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { change, href, useTitle } from "../lib/route.js";
+import { mayChange } from "../lib/session.js";
 import { byObjective, chosenObjective, isOver, objectivesOf, title } from "../lib/sweep.js";
+import { About, Edit } from "../parts/about.js";
 import { Confirm, Copy, Failure, Loading } from "../parts/elements.js";
-import { Labels, Status } from "../parts/job_row.js";
+import { Status } from "../parts/job_row.js";
 import { whose } from "../parts/whose.js";
 import { Front } from "./sweep/front.js";
 import { BestSoFar, Importance } from "./sweep/results.js";
@@ -59,6 +61,7 @@ function headline(sweep) {
 
 function Head({ sweep, objective, again }) {
   const [refusal, setRefusal] = useState(null);
+  const [isEdited, setEdited] = useState(false);
   const cancel = () => post(sweep.links.cancel).then(again, setRefusal);
   const counted = Object.entries(sweep.num_trials).map(([status, number]) => `${number} ${status}`).join(", ");
   const best = byObjective(sweep, objective).filter((trial) => trial.job).slice(0, 5);
@@ -68,6 +71,7 @@ function Head({ sweep, objective, again }) {
       <span class="actions">
         ${best.length > 1 && html`<a class="button" href=${compared(best)}>Curves of the best ${best.length}</a>`}
         <a class="button" href=${href(["sweeps", "new"], { again: sweep.id })}>Start one like it</a>
+        ${mayChange(sweep) && html`<button type="button" aria-expanded=${isEdited} onClick=${() => setEdited(!isEdited)} title="Its name, labels and note">Edit</button>`}
         ${sweep.status === "running" && html`<${Confirm} text="Cancel" question="Cancel the sweep and its trials?" isDangerous onYes=${cancel} />`}
       </span>
     </div>
@@ -76,7 +80,7 @@ function Head({ sweep, objective, again }) {
       <span class="facts">${counted || "no trial yet"}, of ${sweep.max_trials} at most · ${sweep.spec.method} · began ${ago(sweep.created_at)}${sweep.finished_at ? `, took ${duration(seconds(sweep.created_at, sweep.finished_at))}` : ""}${whose(sweep)}</span>
       <a href=${href(["jobs"], { sweep: sweep.id })}>Its jobs</a>
     </div>
-    <${Labels} labels=${sweep.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
+    ${isEdited ? html`<${Edit} what="sweep" job=${sweep} onEnd=${(isSaved) => (setEdited(false), isSaved && again())} />` : html`<${About} job=${sweep} />`}
     ${sweep.message && html`<p class="message ${sweep.status}">${sweep.message}</p>`}
     ${refusal && html`<${Failure} error=${refusal} />`}
   </div>`;

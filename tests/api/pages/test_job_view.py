@@ -15,7 +15,7 @@ from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from tests.api.conftest import NOON, NOWHERE, Attempt, Stack, job, serving
-from tests.api.pages.conftest import MakeTab, Tab
+from tests.api.pages.conftest import MakeTab, Tab, flaws
 from tests.in_memory import MemoryJobQueue
 
 
@@ -47,6 +47,37 @@ def test_a_new_metric_is_on_the_page_within_half_a_second(stack: Stack, tab: Tab
     expect(card.get_by_role("listitem")).to_have_text(["level 225 %", "level 1075 %"])
     expect(card.get_by_text("at level 8 in the mean")).to_be_visible()
     tab.picture("job-levels")
+
+
+def test_a_job_is_renamed_labelled_and_noted_while_it_runs(stack: Stack, tab: Tab) -> None:
+    attempt = Attempt(stack, job(name="first steps", labels={"team": "legs", "draft": "1"}))
+    page = tab.open(f"#/jobs/{attempt.id}")
+    page.get_by_role("button", name="Edit").click()
+    form = page.get_by_role("form", name="Edit the job")
+    expect(form.get_by_label("Name")).to_be_focused()
+    form.get_by_label("Name").fill("soft knees")
+    form.get_by_role("button", name="Remove the label draft").click()
+    form.get_by_label("One more").fill("knee soft")
+    expect(form.get_by_text("A label is a key and a value")).to_be_visible()
+    form.get_by_label("One more").fill("knee: soft")
+    form.get_by_role("button", name="Add it").click()
+    form.get_by_label("One more").fill("x=y: z")  # The form takes what was only typed, too.
+    form.get_by_label("Note").fill("Too stiff.\nCompare with the next one.")
+    assert flaws(page) == []
+    tab.picture("job-edit")
+    # What somebody else changes meanwhile stays.
+    stack.http.patch(f"/jobs/{attempt.id}", json={"labels": {"seen": "bob"}})
+    form.get_by_role("button", name="Save").click()
+    expect(page.get_by_role("heading", name="soft knees")).to_be_visible()
+    expect(page.get_by_role("note")).to_have_text("Too stiff.\nCompare with the next one.")
+    stored = stack.store.get(attempt.id)
+    assert stored.spec.labels == {"team": "legs", "seen": "bob", "knee": "soft", "x": "y: z"}
+    assert flaws(page) == []
+    tab.picture("job-noted")
+    page.get_by_role("button", name="Edit").click()
+    form.get_by_label("Note").fill("")
+    form.get_by_role("button", name="Leave it as it was").click()
+    expect(page.get_by_role("note")).to_be_visible()
 
 
 def test_a_start_that_takes_long_says_why_and_a_battery_says_what_it_is(

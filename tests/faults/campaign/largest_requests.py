@@ -366,11 +366,15 @@ def _listing_of_jobs(service: Service, route: str) -> Iterator[Form]:
     yield Form(route, "search and labels", "GET", f"/jobs?limit=200&search={search}&{labels}")
 
 
-def _patch(service: Service, route: str) -> Iterator[Form]:
+def _largest_patch() -> bytes:
     job = largest_job()
     document = {"name": job["name"], "labels": dict.fromkeys(job["labels"]), "note": _LETTER * LONGEST_NOTE}
-    body = _json(document).ljust(_LARGEST_BODY)
-    yield Form(route, "1 MiB", "PATCH", f"/jobs/{service.job()}", (200,), body, {"Content-Type": _JSON})
+    return _json(document).ljust(_LARGEST_BODY)
+
+
+def _patch(service: Service, route: str) -> Iterator[Form]:
+    path, headers = f"/jobs/{service.job()}", {"Content-Type": _JSON}
+    yield Form(route, "1 MiB", "PATCH", path, (200,), _largest_patch(), headers)
 
 
 def _many(path: str) -> Forms:
@@ -537,6 +541,7 @@ _FORMS: dict[str, Forms] = {
     "POST /sweeps": _sweeps,
     "GET /sweeps": _listing_of_sweeps,
     "GET /sweeps/{sweep_id}": _of_sweep("GET", "", 200),
+    "PATCH /sweeps/{sweep_id}": _of_sweep("PATCH", "", 200, body=_largest_patch()),
     "DELETE /sweeps/{sweep_id}": _of_sweep("DELETE", "", 204, is_ended=True),
     "POST /sweeps/{sweep_id}/cancel": _of_sweep("POST", "/cancel", 202),
     "POST /sweeps/{sweep_id}/resume": _of_sweep(

@@ -28,7 +28,7 @@ export function Filters({ asked }) {
     input.value = "";
   };
   return html`<search class="filters">
-    <label>Search <input type="search" value=${search} onInput=${type} placeholder="name or environment" /></label>
+    <label>Search <input type="search" value=${search} onInput=${type} placeholder="name, note or environment" /></label>
     <label>Status
       <select value=${asked.status[0] || ""} onChange=${(event) => set({ status: event.target.value })}>
         <option value="">any</option>

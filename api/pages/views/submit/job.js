@@ -9,7 +9,7 @@ import { Field } from "../../parts/field.js";
 import { AlgorithmPart, EnvironmentPart } from "./environment.js";
 import { Notify } from "./notify.js";
 
-const FIRST = ["name", "labels", "seed"];
+const FIRST = ["name", "labels", "note", "seed"];
 const PLACED = new Set([...FIRST, "notify", "project", "kind", "environment", "algorithm", "policy"]);
 
 /**
@@ -36,8 +36,8 @@ export function JobFields({ all, document, change, errors, environments, environ
 
 function Kind({ document, change }) {
   const choose = (kind) => () =>
-    change(({ environment, name, labels, seed, project, notify }) => {
-      const said = { environment, name, labels, seed, project, notify };
+    change(({ environment, name, labels, note, seed, project, notify }) => {
+      const said = { environment, name, labels, note, seed, project, notify };
       const kept = Object.fromEntries(Object.entries(said).filter(([, value]) => value !== undefined));
       return kind === "train" ? { kind, ...kept } : { kind, ...kept, policy: { kind: "random" } };
     });
