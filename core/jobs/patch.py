@@ -1,6 +1,6 @@
 """The name, labels and note of a job or a sweep: what people call it and say of it.
 
-They stand in its specification, and may change at any time: they steer nothing.
+They stand in its specification, and may change at any time: no run is steered by them.
 """
 
 from collections.abc import Mapping
