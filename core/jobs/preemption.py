@@ -74,19 +74,24 @@ def making_room(
     unclaimed = [job for job, waits in drains.items() if waits not in waiting]
     pools = {pool.name: _without(unclaimed, pool, side.held) for side in sides for pool in side.pools}
     for side in sides:
+        # Whose jobs of which kind get nothing now: those behind their first are not compared, either.
+        hopeless = set[tuple[Who, int, str]]()
         kinds = frozenset[str]().union(*(pool.kinds for pool in side.pools))
         requests = [request for request in facts.waiting if request.kind in kinds]
         for request in in_order(requests, side.standings):
-            if request.id in settled:  # It could also run on the other kind of device.
+            group = request.who, request.rank, request.kind
+            # What is settled could also run on the other kind of device.
+            if request.id in settled or group in hopeless:
                 continue
-            could = {name for name, pool in pools.items() if pool.could_hold(request)}
+            could = {name: pool for name, pool in pools.items() if pool.could_hold(request)}
             may = [held for held in side.held if held.id in movable and held.pool in could]
-            if not may and not any(pools[name].has_room(request) for name in could):
+            if not _is_hopeful(request, list(could.values()), may, side.spent, facts.quotas):
+                hopeless.add(group)
                 continue
             num_looked_at += 1
             if num_looked_at > _MOST_LOOKED_AT:
                 break
-            fitting = [pools[name] for name in sorted(could.intersection(able(request)))]
+            fitting = [could[name] for name in sorted(could.keys() & able(request))]
             taken = next((pool.name for pool in fitting if pool.has_room(request)), None)
             if taken is None:
                 victims = _victims(request, fitting, may, side.spent, facts.quotas)
@@ -128,6 +133,19 @@ def _side(device: Device, facts: TurnFacts, workers: Sequence[WorkerInfo]) -> _S
         if one.device == device:
             spent[one.who] += cost(one.gpus, one.age_s)
     return _Side(pools, held, standings, spent)
+
+
+def _is_hopeful(
+    request: Request,
+    pools: Sequence[Pool],
+    running: Sequence[Held],
+    spent: Mapping[Who, float],
+    quotas: Quotas,
+) -> bool:
+    """Whether there is room, or somebody would make some, if all of these pools could run it."""
+    return any(pool.has_room(request) for pool in pools) or bool(
+        _victims(request, pools, running, spent, quotas)
+    )
 
 
 def _victims(
