@@ -78,15 +78,17 @@ def making_room(
         hopeless = set[tuple[Who, int, str]]()
         kinds = frozenset[str]().union(*(pool.kinds for pool in side.pools))
         requests = [request for request in facts.waiting if request.kind in kinds]
+        groups = {_group(request) for request in requests}
         for request in in_order(requests, side.standings):
-            group = request.who, request.rank, request.kind
+            if hopeless == groups:
+                break
             # What is settled could also run on the other kind of device.
-            if request.id in settled or group in hopeless:
+            if request.id in settled or _group(request) in hopeless:
                 continue
             could = {name: pool for name, pool in pools.items() if pool.could_hold(request)}
             may = [held for held in side.held if held.id in movable and held.pool in could]
             if not _is_hopeful(request, list(could.values()), may, side.spent, facts.quotas):
-                hopeless.add(group)
+                hopeless.add(_group(request))
                 continue
             num_looked_at += 1
             if num_looked_at > _MOST_LOOKED_AT:
@@ -104,6 +106,10 @@ def making_room(
             pools[taken] = replace(pools[taken], free=pools[taken].free - request.gpus)
             settled.add(request.id)
     return found
+
+
+def _group(request: Request) -> tuple[Who, int, str]:
+    return request.who, request.rank, request.kind
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,8 @@ _RUNNING = text("""
     FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
     WHERE jobs.status = ANY(CAST(:held AS text[]))
 """)
-# The oldest of each queue, project and user, by the index `jobs_turns`.
+# The oldest of each queue, project and user. If these were compared for equality alone, PostgreSQL might take
+# another index than `jobs_turns`, and read all that wait for each user.
 _OLDEST = """
     WITH RECURSIVE groups AS (
         SELECT first.* FROM unnest(CAST(:queues AS text[])) AS queues (name) CROSS JOIN LATERAL (
@@ -52,10 +53,11 @@ _OLDEST = """
     )
     SELECT oldest.* FROM groups CROSS JOIN LATERAL (
         SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs
-        WHERE queue = groups.queue AND project = groups.project AND coalesce(owner, '') = groups.owner
+        WHERE queue = groups.queue AND (project, coalesce(owner, ''), id) > (groups.project, groups.owner, '')
             AND status = 'queued' AND (not_before IS NULL OR not_before < clock_timestamp())
-        ORDER BY id LIMIT 20
+        ORDER BY project, coalesce(owner, ''), id LIMIT 20
     ) AS oldest
+    WHERE (oldest.project, oldest.owner) = (groups.project, groups.owner)
 """
 _FACTS = facts_query(_OLDEST)
 # An attempt that has ended meanwhile, or is being cancelled, makes no room; nor for a job that waits no more.
