@@ -132,6 +132,23 @@ def test_a_worker_asks_a_service_for_its_settings(lab: Lab) -> None:
         joined(url, {credentials.VARIABLE: lab.token("ann").text})
 
 
+def test_quotas_by_the_command(lab: Lab) -> None:
+    root, ann = lab.token("root").text, lab.token("ann").text
+    assert "No quota is set" in succeeded(gaitway(lab, "quotas", "list", token=ann))
+    made = gaitway(lab, "quotas", "set", "project", "a", "--gpu-hours", "40", "--bytes", "200GB", token=root)
+    for words in ("0.0 of 40", "0 B of 200.0 GB"):
+        assert words in succeeded(made)
+    whole = gaitway(lab, "quotas", "set", "project", "a", "--queued", "0", "--json", token=root)
+    assert json.loads(succeeded(whole))["gpu_hours"] is None
+    refused = gaitway(lab, "submit", "ant", token=ann)
+    assert (refused.exit_code, "its quota of queued jobs is 0" in refused.stderr) == (1, True)
+    assert gaitway(lab, "submit", "ant", "--dry-run", token=ann).exit_code == 1
+    for wrong in (("team", "a"), ("user", "ann", "--bytes", "much")):
+        assert gaitway(lab, "quotas", "set", *wrong, token=root).exit_code == 2
+    assert "0 of 0" in succeeded(gaitway(lab, "quotas", "list", token=ann))
+    assert "has no quota any more" in succeeded(gaitway(lab, "quotas", "remove", "project", "a", token=root))
+
+
 def test_a_webhook_by_the_command(lab: Lab) -> None:
     token = lab.token("two").text
     lab.service.settings = lab.service.settings.model_copy(update={"news_networks": HERE})

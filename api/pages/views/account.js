@@ -1,4 +1,4 @@
-/** One's account: tokens; for admins users, projects and the audit log. */
+/** One's account: tokens; for admins users, projects, quotas and the audit log. */
 
 import { html } from "../lib/html.js";
 import { useCurrentInSight } from "../lib/in_sight.js";
@@ -8,10 +8,11 @@ import { signedOut } from "../lib/api.js";
 import { Empty } from "../parts/elements.js";
 import { Audit } from "./account/audit.js";
 import { Projects } from "./account/projects.js";
+import { Quotas } from "./account/quotas.js";
 import { Tokens } from "./account/tokens.js";
 import { Users } from "./account/users.js";
 
-const TABS = { tokens: ["Tokens", Tokens], users: ["Users", Users], projects: ["Projects", Projects], audit: ["Audit log", Audit] };
+const TABS = { tokens: ["Tokens", Tokens], users: ["Users", Users], projects: ["Projects", Projects], quotas: ["Quotas", Quotas], audit: ["Audit log", Audit] };
 
 export default function Account({ path: [tab = "tokens"], query }) {
   const { accounts, who } = session();

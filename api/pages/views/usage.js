@@ -1,12 +1,13 @@
-/** What was used, by project and user, and how busy each device was. */
+/** What was used, by project and user, what is left of quotas, and how busy each device was. */
 
 import { get } from "../lib/api.js";
-import { count, moment } from "../lib/format.js";
+import { bytes, count, moment } from "../lib/format.js";
 import { html } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { change } from "../lib/route.js";
 import { BusyHours, busyShare, percent } from "../parts/busy_hours.js";
 import { Failure, Loading } from "../parts/elements.js";
+import { Quotas } from "../parts/quotas.js";
 import { Retention } from "../parts/retention.js";
 
 const WINDOWS = { 1: "the last day", 7: "the last 7 days", 30: "the last 30 days", 365: "the last year" };
@@ -15,7 +16,8 @@ const MOST_SHOWN = 100;
 
 export default function Usage({ query }) {
   const days = query.get("days") in WINDOWS ? query.get("days") : "7";
-  const load = (signal) => get("/usage", { since: new Date(Date.now() - days * DAY_MS).toISOString() }, { signal });
+  const since = () => new Date(Date.now() - days * DAY_MS).toISOString();
+  const load = (signal) => Promise.all([get("/usage", { since: since() }, { signal }), get("/quotas", {}, { signal })]);
   const { data, error, again } = useLive(load, [days], 15_000);
   return html`<div class="stack">
     <h1>Usage</h1>
@@ -28,7 +30,9 @@ export default function Usage({ query }) {
     </div>
     ${error && html`<${Failure} error=${error} again=${again} />`}
     ${!data && !error && html`<${Loading} what="usage" />`}
-    ${data && html`<${Projects} usage=${data} /><${Devices} usage=${data} />`}
+    ${data && html`<${Projects} usage=${data[0]} />`}
+    ${data?.[1].items.length > 0 && html`<section class="card"><h2>Quotas</h2><${Quotas} items=${data[1].items} /></section>`}
+    ${data && html`<${Devices} usage=${data[0]} />`}
     <${Retention} project=${query.get("project")} />
   </div>`;
 }
@@ -39,7 +43,7 @@ function Projects({ usage }) {
     <p class="facts">Since ${moment(usage.since)}. Running attempts are counted up to now, and what deleted jobs have used stays counted.</p>
     ${usage.projects.length === 0 && html`<p class="facts">Nothing was used.</p>`}
     ${usage.projects.length > 0 && html`<div class="table stacking" tabindex="0" role="region" aria-label="By project and user"><table>
-      <thead><tr><th>Project</th><th>User</th><th class="number">GPU hours</th><th class="number">Hours</th><th class="number">Attempts</th><th class="number">Jobs ended</th><th class="number">Running</th><th class="number">Waiting</th><th>Share</th></tr></thead>
+      <thead><tr><th>Project</th><th>User</th><th class="number">GPU hours</th><th class="number">Hours</th><th class="number">Attempts</th><th class="number">Jobs ended</th><th class="number">Running</th><th class="number">Waiting</th><th class="number">Stored</th><th>Share</th></tr></thead>
       <tbody>${usage.projects.map((used) => html`<tr key=${`${used.project}/${used.owner}`}>
         <td data-label="Project">${used.project}</td>
         <td data-label="User">${used.owner || "–"}</td>
@@ -49,6 +53,7 @@ function Projects({ usage }) {
         <td data-label="Jobs ended" class="number">${count(used.jobs)}</td>
         <td data-label="Running" class="number">${count(used.running)}</td>
         <td data-label="Waiting" class="number">${count(used.queued)}</td>
+        <td data-label="Stored" class="number">${bytes(used.bytes)}</td>
         <td data-label="Share"><svg class="share" viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true"><rect width=${(100 * (used.gpu_seconds || used.seconds)) / most} height="8" /></svg></td>
       </tr>`)}</tbody>
     </table></div>`}

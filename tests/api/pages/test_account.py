@@ -180,6 +180,46 @@ def test_an_admin_keeps_users_and_projects_and_reads_what_was_done(lab: Lab, tab
     expect(page.get_by_role("row").filter(has_text="project.")).to_have_count(0)
 
 
+def test_an_admin_sets_changes_and_removes_quotas_and_all_see_theirs_in_the_usage(lab: Lab, tab: Tab) -> None:
+    page = sign_in(tab, lab.token("root").text, "#/account/quotas")
+    expect(page.get_by_text("No quota is set")).to_be_visible()
+    form = page.get_by_role("form", name="Set a quota")
+    form.get_by_label("Of").select_option("project a")
+    form.get_by_label("Waiting").fill("many")
+    form.get_by_role("button", name="Set it").click()
+    expect(form.get_by_role("alert")).to_contain_text("queued")
+    form.get_by_label("Waiting").fill("200")
+    form.get_by_label("GPU hours").fill("40")
+    form.get_by_label("Stored").fill("500")
+    form.get_by_role("button", name="Set it").click()
+    row = page.get_by_role("row").filter(has_text="project a")
+    expect(row).to_contain_text("0 of 200")
+    expect(row).to_contain_text("0 B of 500 GB")
+    assert flaws(page) == []
+    tab.picture("account-quotas")
+    row.get_by_role("button", name="Change").click()
+    expect(form.get_by_label("Stored")).to_have_value("500")
+    form.get_by_label("Waiting").fill("")
+    form.get_by_label("Weight").fill("2")
+    form.get_by_role("button", name="Set it").click()
+    expect(row).not_to_contain_text("of 200")
+    set_now = lab.stack.store.quotas().of("project", "a")
+    assert (set_now.weight, set_now.queued, set_now.gpu_hours, set_now.bytes) == (
+        2.0,
+        None,
+        40.0,
+        500 * 10**9,
+    )
+    page.get_by_role("link", name="Usage").click()
+    expect(page.get_by_role("region", name="Quotas").get_by_text("0 of 40")).to_be_visible()
+    assert flaws(page) == []
+    tab.picture("usage-quotas")
+    page.goto(page.url.replace("#/usage", "#/account/quotas"))
+    row.get_by_role("button", name="Remove").click()
+    row.get_by_role("button", name="Yes, remove").click()
+    expect(page.get_by_text("No quota is set")).to_be_visible()
+
+
 def test_lists_say_whose_jobs_are_and_filter_by_it(lab: Lab, tab: Tab) -> None:
     for number, (owner, project) in enumerate(
         [("two", "a"), ("ann", "a"), ("bob", "b"), ("vic", "default")], 1
