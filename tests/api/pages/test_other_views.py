@@ -399,7 +399,7 @@ def test_usage_is_shown_by_project_and_device(stack: Stack, tab: Tab) -> None:
     # Two of the 23 to 24 hours that the last day's hours have so far.
     busy = re.compile("node1, gpu:0,1: busy for [89] % of the last day")
     expect(device.get_by_role("img", name=busy)).to_be_visible()
-    page.get_by_label("In").select_option("the last 30 days")
+    page.get_by_role("combobox", name="In").select_option("the last 30 days")
     expect(row).to_contain_text("4")
     assert "days=30" in page.url
 
