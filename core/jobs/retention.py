@@ -204,7 +204,7 @@ def judge(
     if job.sweep is not None:
         return Verdict(job, sweep=job.sweep if removed or whole is not None else None)
     kept_for = [*needs] if whole is not None else []
-    if old := removed.get("checkpoints"):
+    if needs and (old := removed.get("checkpoints")):
         steps, needed = {file.step for file in old}, {need.step for need in needs}
         kept_for += [need for need in needs if need.step in steps and need not in kept_for]
         found = Removal(job, removed).without(lambda file: file.role == "checkpoint" and file.step in needed)

@@ -18,7 +18,7 @@ from sqlalchemy import (
     func,
     literal,
     select,
-    union_all,
+    text,
     update,
 )
 from sqlalchemy.dialects.postgresql import ARRAY, insert
@@ -33,7 +33,6 @@ from core.adapters.postgres.tables import (
     NOW,
     UNFINISHED,
     artifacts,
-    chunks,
     jobs,
     retention,
     sweeps,
@@ -81,24 +80,26 @@ _ENDED = (
     .order_by(jobs.c.id)
     .limit(bindparam("most"))
 )
-_FACTS = (artifacts.c.name, artifacts.c.role, artifacts.c.step, artifacts.c.size)
-# A row for each job: ten thousand of them with their files take half a second less.
-_FILES = (
-    select(artifacts.c.job_id, *(func.array_agg(column) for column in _FACTS))
-    .where(
-        artifacts.c.job_id == any_(IDS),
-        artifacts.c.role == any_(bindparam("roles", type_=ARRAY(Text))),
-    )
-    .group_by(artifacts.c.job_id)
-)
-_SUMS = union_all(
-    select(artifacts.c.job_id, artifacts.c.role, func.sum(artifacts.c.size), func.count())
-    .where(artifacts.c.job_id == any_(IDS))
-    .group_by(artifacts.c.job_id, artifacts.c.role),
-    select(chunks.c.job_id, literal("feed"), func.sum(chunks.c.size), func.count())
-    .where(chunks.c.job_id == any_(IDS))
-    .group_by(chunks.c.job_id),
-)
+# By a lateral join each job is looked up by the index: `= ANY` read the whole table for each page. A row for
+# each job takes half the time of a row for each file.
+_FILES = text("""
+    SELECT wanted.id, found.names, found.roles, found.steps, found.sizes
+    FROM unnest(CAST(:ids AS text[])) AS wanted (id), LATERAL (
+        SELECT array_agg(name) AS names, array_agg(role) AS roles, array_agg(step) AS steps,
+            array_agg(size) AS sizes
+        FROM artifacts WHERE job_id = wanted.id AND role = ANY (CAST(:roles AS text[]))
+    ) AS found
+    WHERE found.names IS NOT NULL
+""")
+_SUMS = text("""
+    SELECT wanted.id, found.role, found.size, found.number
+    FROM unnest(CAST(:ids AS text[])) AS wanted (id), LATERAL (
+        SELECT role, sum(size) AS size, count(*) AS number
+        FROM artifacts WHERE job_id = wanted.id GROUP BY role
+        UNION ALL
+        SELECT 'feed', sum(size), count(*) FROM chunks WHERE job_id = wanted.id HAVING count(*) > 0
+    ) AS found
+""")
 _source = jobs.alias("source")
 _NEEDS = (
     select(_source.c.id.label("source"), jobs.c.id, jobs.c.source_step, jobs.c.project)
@@ -251,7 +252,7 @@ def _sweeps_that_go_on(connection: Connection, job_ids: Sequence[str]) -> dict[s
     return found
 
 
-def _ended(row: Row[Any], sweep: str | None) -> EndedJob:
+def _ended(row: Any, sweep: str | None) -> EndedJob:
     since = row.ended_at
     if row.imported_from is not None:
         since = max(since, Origin.model_validate_json(row.imported_from).imported_at)
