@@ -144,7 +144,8 @@ def _sorted(query: JobQuery, sort: Sort, at: float, place: _Place | None, limit:
         whole = func.coalesce(trials.c.sweep_id, jobs.c.id)
         order = func.row_number().over(partition_by=whole, order_by=_order(key, jobs.c.id, sort))
         among = among.outerjoin(trials, trials.c.job_id == jobs.c.id).add_columns(order.label("of_sweep"))
-    keyed = among.subquery("keyed")
+    # Otherwise PostgreSQL reads the newest attempt once for each comparison with the page's beginning.
+    keyed = among.cte("keyed").prefix_with("MATERIALIZED")
     is_shown = keyed.c.of_sweep == 1 if query.sweep == FOLDED else true()
     behind = true() if place is None else _behind(keyed.c.sorted_by, keyed.c.id, place)
     top = select(keyed.c.id, keyed.c.sorted_by).where(is_shown, behind)
