@@ -11,11 +11,11 @@ class RetentionView(View):
     """The rules of a project; those that are null remove nothing. set_at: null where it has none."""
 
     project: str = Field(examples=["gaits"])
-    checkpoints: int | None = Field(None, description="Of each ended job the newest so many stay.")
-    videos_days: int | None = Field(None, description="Days after a job's end.")
-    replays_days: int | None = Field(None, description="Of trajectories, too.")
-    failed_days: int | None = Field(None, description="For failed jobs as a whole.")
-    cancelled_days: int | None = Field(None, description="For cancelled jobs as a whole.")
+    checkpoints: int | None = Field(default=None, description="Of each ended job the newest so many stay.")
+    videos_days: int | None = Field(default=None, description="Days after a job's end.")
+    replays_days: int | None = Field(default=None, description="Of trajectories, too.")
+    failed_days: int | None = Field(default=None, description="For failed jobs as a whole.")
+    cancelled_days: int | None = Field(default=None, description="For cancelled jobs as a whole.")
     set_at: datetime | None = None
     set_by: str | None = None
 

@@ -86,10 +86,13 @@ def test_a_pool_gives_a_job_its_gpus_and_says_which(job_store: PostgresJobStore)
             queues, "host:gpu:2:00000a", **stores, lease=LEASE, secret=secret, offer=offer, **more
         )
 
+    def fits_none(job: Job) -> bool:
+        return False
+
     with pytest.raises(NothingFits, match=f"{four.id} comes first, and needs 4 GPUs; 2 are free here"):
         take_of_pool(replace(offer, free=frozenset({2, 3})))
     # Nothing is kept for jobs that this machine cannot run.
-    assert take_of_pool(replace(offer, free=frozenset({2})), fits=lambda job: False) is None
+    assert take_of_pool(replace(offer, free=frozenset({2})), fits=fits_none) is None
     first, again = take_of_pool(offer, "ab" * 8), take_of_pool(offer, "ab" * 8)
     assert first == again
     assert first is not None
