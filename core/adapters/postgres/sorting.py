@@ -140,13 +140,17 @@ def _sorted(query: JobQuery, sort: Sort, at: float, place: _Place | None, limit:
     key = _key(sort, at)
     among = select(jobs.c.id, key.label("sorted_by")).where(*matches)
     if query.sweep == FOLDED:
-        # Of each sweep the first in this order.
-        whole = func.coalesce(trials.c.sweep_id, jobs.c.id)
-        order = func.row_number().over(partition_by=whole, order_by=_order(key, jobs.c.id, sort))
-        among = among.outerjoin(trials, trials.c.job_id == jobs.c.id).add_columns(order.label("of_sweep"))
-    # Otherwise PostgreSQL reads the newest attempt once for each comparison with the page's beginning.
+        among = among.outerjoin(trials, trials.c.job_id == jobs.c.id)
+        among = among.add_columns(func.coalesce(trials.c.sweep_id, jobs.c.id).label("whole"))
+    # Otherwise PostgreSQL reads the newest attempt again wherever the column is named.
     keyed = among.cte("keyed").prefix_with("MATERIALIZED")
-    is_shown = keyed.c.of_sweep == 1 if query.sweep == FOLDED else true()
+    is_shown = true()
+    if query.sweep == FOLDED:
+        # Of each sweep the first in this order.
+        order = _order(keyed.c.sorted_by, keyed.c.id, sort)
+        place_in_sweep = func.row_number().over(partition_by=keyed.c.whole, order_by=order)
+        keyed = select(keyed, place_in_sweep.label("of_sweep")).subquery("folded")
+        is_shown = keyed.c.of_sweep == 1
     behind = true() if place is None else _behind(keyed.c.sorted_by, keyed.c.id, place)
     top = select(keyed.c.id, keyed.c.sorted_by).where(is_shown, behind)
     top = top.order_by(*_order(keyed.c.sorted_by, keyed.c.id, sort)).limit(limit).subquery("top")
