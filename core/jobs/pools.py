@@ -99,7 +99,8 @@ def pools_of(
     for name, group in members.items():
         gpus = _num_gpus(group)
         kinds = frozenset[str]().union(*map(kinds_of, group))
-        pools.append(Pool(name, gpus, max(0, gpus - taken[name]), kinds, is_shared=group[0].pool is not None))
+        free = max(0, min(gpus - taken[name], gpus - _num_used(group)))
+        pools.append(Pool(name, gpus, free, kinds, is_shared=group[0].pool is not None))
     return pools, held
 
 
@@ -140,3 +141,8 @@ def _num_gpus(group: Sequence[WorkerInfo]) -> int:
     if one.pool is not None:
         return len({worker.device for worker in group})
     return max(1, len(gpu_indices(one.device))) * one.hosts
+
+
+def _num_used(group: Sequence[WorkerInfo]) -> int:
+    """How many GPUs of a pool are in use as their workers say: also by a process that is no attempt's."""
+    return len({worker.device for worker in group if worker.state == "lent" or (worker.pool and worker.jobs)})

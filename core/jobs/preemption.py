@@ -2,13 +2,13 @@
 
 A waiting job gets room if its turn has come and no slot that could run it is free. It then names trainings of
 lower priority; or such of its own priority that said that they are preemptible, and whose user would come
-after it. These have run for a while, and it stays ahead of them for a while, so that two users who have used
-about the same do not take a slot from each other again and again.
+after it: by the standings that the claim of the slot will have, once they have ended. These have run for a
+while, and it stays ahead of them for a while, so that two users who have used about the same do not take a
+slot from each other again and again.
 
 A rollout makes room for nobody: it would begin anew, and lose what it has done.
 """
 
-from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,7 +17,6 @@ from core.jobs.pools import pools_of
 from core.jobs.turns import (
     Held,
     Pool,
-    Quotas,
     Request,
     Standings,
     Started,
@@ -25,6 +24,7 @@ from core.jobs.turns import (
     Who,
     cost,
     in_order,
+    may_yield,
     standings_on,
     to_drain,
 )
@@ -65,14 +65,10 @@ def making_room(
 
     able: the names of the pools that could run the job; asked of few, since it reads the job.
     """
-    facts, drains = holders.facts, holders.drains
+    facts = holders.facts
     found = dict[str, Sequence[str]]()
     sides = [_side("gpu", facts, workers), _side("cpu", facts, workers)]
-    settled, movable, num_looked_at = set(drains.values()), set(holders.movable), 0
-    # What drains for a job that was cancelled meanwhile, or got another slot, is free in a moment.
-    waiting = {request.id for request in facts.waiting}
-    unclaimed = [job for job, waits in drains.items() if waits not in waiting]
-    pools = {pool.name: _without(unclaimed, pool, side.held) for side in sides for pool in side.pools}
+    soon, movable, num_looked_at = _Soon(sides, facts.waiting, holders.drains), set(holders.movable), 0
     for side in sides:
         # Whose jobs of which kind get nothing now: those behind their first are not compared, either.
         hopeless = set[tuple[Who, int, str]]()
@@ -83,11 +79,11 @@ def making_room(
             if hopeless == groups:
                 break
             # What is settled could also run on the other kind of device.
-            if request.id in settled or _group(request) in hopeless:
+            if request.id in soon.settled or _group(request) in hopeless:
                 continue
-            could = {name: pool for name, pool in pools.items() if pool.could_hold(request)}
-            may = [held for held in side.held if held.id in movable and held.pool in could]
-            if not _is_hopeful(request, list(could.values()), may, side.spent, facts.quotas):
+            could = {name: pool for name, pool in soon.pools.items() if pool.could_hold(request)}
+            may = [held for held in side.held if held.id in movable and may_yield(held, request)]
+            if not _is_hopeful(request, list(could.values()), may, side.claims):
                 hopeless.add(_group(request))
                 continue
             num_looked_at += 1
@@ -96,15 +92,15 @@ def making_room(
             fitting = [could[name] for name in sorted(could.keys() & able(request))]
             taken = next((pool.name for pool in fitting if pool.has_room(request)), None)
             if taken is None:
-                victims = _victims(request, fitting, may, side.spent, facts.quotas)
+                victims = _victims(request, fitting, may, side.claims)
                 if not victims:
                     continue
                 found[request.id] = [held.id for held in victims]
                 movable -= {held.id for held in victims}
                 taken = victims[0].pool
-                pools[taken] = _without(found[request.id], pools[taken], victims)
-            pools[taken] = replace(pools[taken], free=pools[taken].free - request.gpus)
-            settled.add(request.id)
+                for held in victims:
+                    soon.end(held)
+            soon.start(request, taken)
     return found
 
 
@@ -114,63 +110,76 @@ def _group(request: Request) -> tuple[Who, int, str]:
 
 @dataclass(frozen=True)
 class _Side:
-    """The workers with one kind of device. spent: what each user has used of them until now."""
+    """The workers with one kind of device. standings: for the order of those that wait.
+
+    claims: those of the next claims, see `_Soon`. usual_s: how long an attempt of a user takes.
+    """
 
     pools: Sequence[Pool]
     held: Sequence[Held]
     standings: Standings
-    spent: Mapping[Who, float]
+    claims: Standings
+    usual_s: Mapping[Who, float]
 
 
-def _without(jobs: Collection[str], pool: Pool, running: Sequence[Held]) -> Pool:
-    """The pool once these of its jobs have ended."""
-    freed = sum(held.gpus for held in running if held.id in jobs and held.pool == pool.name)
-    return replace(pool, free=pool.free + freed)
+class _Soon:
+    """What the next claims find, when the jobs that drain have ended, and those that have room have started.
+
+    settled: the waiting jobs with room.
+    """
+
+    def __init__(self, sides: Sequence[_Side], waiting: Sequence[Request], drains: Mapping[str, str]) -> None:
+        self._homes = {pool.name: side for side in sides for pool in side.pools}
+        self.pools = {pool.name: pool for side in sides for pool in side.pools}
+        self.settled = set[str]()
+        # What drains for a job that was cancelled meanwhile, or got another slot, is free for the others.
+        by_id = {request.id: request for request in waiting}
+        for held in (held for side in sides for held in side.held if held.id in drains):
+            self.end(held)
+            if (waits := by_id.get(drains[held.id])) is not None and waits.id not in self.settled:
+                self.start(waits, held.pool)
+        self.settled |= set(drains.values())
+
+    def end(self, held: Held) -> None:
+        self._homes[held.pool].claims.end(held, 0.0)
+        self._free(held.pool, held.gpus)
+
+    def start(self, request: Request, pool: str) -> None:
+        side = self._homes[pool]
+        side.claims.start(replace(request, expected_s=side.usual_s.get(request.who)))
+        self._free(pool, -request.gpus)
+        self.settled.add(request.id)
+
+    def _free(self, pool: str, gpus: int) -> None:
+        self.pools[pool] = replace(self.pools[pool], free=self.pools[pool].free + gpus)
 
 
 def _side(device: Device, facts: TurnFacts, workers: Sequence[WorkerInfo]) -> _Side:
     standings, usual_s = standings_on(device, facts.shares, facts.started, facts.quotas)
+    claims, _ = standings_on(device, facts.shares, facts.started, facts.quotas)
     pools, held = pools_of(device, workers, facts.started, usual_s)
-    spent = defaultdict[Who, float](float)
-    for share in facts.shares:
-        if share.device == device:
-            spent[share.who] += share.amount
-    for one in facts.started:
-        if one.device == device:
-            spent[one.who] += cost(one.gpus, one.age_s)
-    return _Side(pools, held, standings, spent)
+    return _Side(pools, held, standings, claims, usual_s)
 
 
-def _is_hopeful(
-    request: Request,
-    pools: Sequence[Pool],
-    running: Sequence[Held],
-    spent: Mapping[Who, float],
-    quotas: Quotas,
-) -> bool:
+def _is_hopeful(request: Request, pools: Sequence[Pool], running: Sequence[Held], claims: Standings) -> bool:
     """Whether there is room, or somebody would make some, if all of these pools could run it."""
-    return any(pool.has_room(request) for pool in pools) or bool(
-        _victims(request, pools, running, spent, quotas)
-    )
+    return any(pool.has_room(request) for pool in pools) or bool(_victims(request, pools, running, claims))
 
 
 def _victims(
-    request: Request,
-    pools: Sequence[Pool],
-    running: Sequence[Held],
-    spent: Mapping[Who, float],
-    quotas: Quotas,
+    request: Request, pools: Sequence[Pool], running: Sequence[Held], claims: Standings
 ) -> Sequence[Held]:
     """Those that make room for it, if all that run would otherwise go on. Now is 0 s."""
-    ahead = dict(spent)
-    ahead[request.who] = ahead.get(request.who, 0.0) + cost(request.gpus, HEAD_START_S)
-    turns = Standings(ahead, quotas=quotas)
-    _, *own, _ = turns.key(request)
+
+    def come_after(victims: Sequence[Held]) -> bool:
+        """Whether the claims of what they leave have them after the request, for a while."""
+        start = (request.who, cost(request.gpus, HEAD_START_S))
+        own = claims.place(request.who, victims, start)
+        peers = {held.who for held in victims if held.rank == request.rank}
+        return all(own < claims.place(who, victims, start) for who in peers)
 
     def may(held: Held) -> bool:
-        if held.rank != request.rank:
-            return True
-        _, *others, _ = turns.key(Request(held.id, held.rank, held.who, held.gpus))
-        return -held.started_at >= LEAST_RUN_S and own < others
+        return held.rank != request.rank or (-held.started_at >= LEAST_RUN_S and come_after([held]))
 
-    return to_drain(request, pools, [held for held in running if may(held)])
+    victims = to_drain(request, pools, [held for held in running if may(held)])
+    return victims if come_after(victims) else []

@@ -49,6 +49,7 @@ class Held:
     """A running job, with what it holds of which pool. ends_at: an estimate; None without one.
 
     lost_s: the seconds of work that it would do again after a drain. is_preemptible: it said so itself.
+    yields_to: the waiting job for which it drains; empty without one.
     """
 
     id: str
@@ -60,6 +61,7 @@ class Held:
     pool: str = ""
     is_preemptible: bool = False
     lost_s: float = 0.0
+    yields_to: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +155,7 @@ class Standings:
         for who, amount in use.items():
             self._add(who, amount)
         for held in running:
-            until = now if held.ends_at is None else max(now, held.ends_at)
-            self._add(held.who, cost(held.gpus, max(ADVANCE_S, until - held.started_at)))
+            self._add(held.who, _counted(held, now))
             self._count(held.who)
         for who in elsewhere:
             self._count(who)
@@ -164,12 +165,31 @@ class Standings:
         self._add(request.who, cost(request.gpus, max(ADVANCE_S, request.expected_s or 0.0)))
         self._count(request.who)
 
+    def end(self, held: Held, now: float) -> None:
+        """Count a running job with what it has used, since it ends now."""
+        self._add(held.who, _used(held, now) - _counted(held, now))
+        self._running.subtract(parties(held.who))
+
     def key(self, request: Request) -> tuple[int, float, float, str]:
         """The request with the smallest one has the turn. No key becomes smaller when a job starts."""
-        project, user = request.who
-        of_project = _for_weight(self._of_project[project], self._quotas.of("project", project).weight)
-        of_user = _for_weight(self._of_user[request.who], self._quotas.of("user", user).weight)
-        return (request.rank, of_project, of_user, request.id)
+        return (request.rank, *self.place(request.who), request.id)
+
+    def place(
+        self, who: Who, ended: Iterable[Held] = (), more: tuple[Who, float] | None = None, now: float = 0.0
+    ) -> tuple[float, float]:
+        """What the project and the user have used for their weights: fewer come first.
+
+        As if these running jobs had ended, and one user had used so much more.
+        """
+        changes = [(held.who, _used(held, now) - _counted(held, now)) for held in ended]
+        changes += [] if more is None else [more]
+        project, user = who
+        of_project = self._of_project[project] + sum(use for (name, _), use in changes if name == project)
+        of_user = self._of_user[who] + sum(use for whose, use in changes if whose == who)
+        return (
+            _for_weight(of_project, self._quotas.of("project", project).weight),
+            _for_weight(of_user, self._quotas.of("user", user).weight),
+        )
 
     def limit(self, who: Who) -> str | None:
         """A sentence if as many of their jobs run as may; None if another one may start."""
@@ -189,6 +209,16 @@ class Standings:
 
     def _count(self, who: Who) -> None:
         self._running.update(parties(who))
+
+
+def _counted(held: Held, now: float) -> float:
+    """As what a running job counts: all that it is expected to use."""
+    until = now if held.ends_at is None else max(now, held.ends_at)
+    return cost(held.gpus, max(ADVANCE_S, until - held.started_at))
+
+
+def _used(held: Held, now: float) -> float:
+    return cost(held.gpus, now - held.started_at)
 
 
 def _for_weight(use: float, weight: float) -> float:
@@ -240,7 +270,7 @@ class Share:
 class Started:
     """A running attempt, as the record has it. device: `gpu` or `cpu`; age_s: since its start.
 
-    worker: its name. rank, is_preemptible: as in `Request` and `Held`.
+    worker: its name. rank, is_preemptible, yields_to: as in `Request` and `Held`.
     """
 
     id: str
@@ -251,6 +281,7 @@ class Started:
     worker: str = ""
     rank: int = 0
     is_preemptible: bool = False
+    yields_to: str = ""
 
 
 @dataclass(frozen=True)
@@ -275,6 +306,7 @@ def held_of(one: Started, usual_s: Mapping[Who, float]) -> Held:
         ends_at=None if expected_s is None else expected_s - one.age_s,
         pool=one.worker,
         is_preemptible=one.is_preemptible,
+        yields_to=one.yields_to,
     )
 
 
@@ -311,18 +343,25 @@ def choose(
 ) -> Request | None:
     """The job that this pool takes now; None if none fits, or only such as would delay the first in turn.
 
-    ordered: as `in_order` has them. pools: all, with the offer. running: what these pools hold.
+    ordered: as `in_order` has them. pools: all, with the offer. running: what these pools hold. Where jobs
+    drain for a waiting one, their pool is kept for it: otherwise they would take back what they have left.
     """
     kept = dict[str, Reservation]()
-    most = max(1, int(MOST_KEPT * len(pools)))
+    drained = {held.pool: held.yields_to for held in running if held.yields_to}
+    left = max(1, int(MOST_KEPT * len(pools)))
     for request in ordered:
         if offer.has_room(request) and not _delays(request, offer, kept, now):
             return request
-        others = [pool for pool in pools if pool.name not in kept] if len(kept) < most else []
+        others = [pool for pool in pools if pool.name not in kept]
         if any(pool.has_room(request) for pool in others):
             continue
-        if (found := reserve(request, others, running, now)) is not None:
+        own = [pool for pool in others if drained.get(pool.name) == request.id]
+        if not own and left == 0:
+            continue
+        found = reserve(request, own or [pool for pool in others if pool.name not in drained], running, now)
+        if found is not None:
             kept[found.pool] = found
+            left -= 0 if own else 1
     return None
 
 
@@ -335,9 +374,9 @@ def reserve(
         for pool in pools
         if pool.could_hold(request)
     ]
-    # Of several without an estimate, the one that is emptiest now.
+    # Of several without an estimate, the one that is emptiest now; last one with a GPU that no job frees.
     free = {pool.name: pool.free for pool in pools}
-    return min(found, key=lambda one: (one.from_s, -free[one.pool], one.pool), default=None)
+    return min(found, key=lambda one: (one.from_s, one.spare < 0, -free[one.pool], one.pool), default=None)
 
 
 def _room(gpus: int, pool: Pool, running: Sequence[Held], now: float) -> tuple[float, int]:
@@ -347,10 +386,13 @@ def _room(gpus: int, pool: Pool, running: Sequence[Held], now: float) -> tuple[f
         if free >= gpus:
             break
         free, moment = free + freed, ends_at
-    return moment, free - gpus
+    # A process that is no job's may hold a GPU.
+    return moment if free >= gpus else math.inf, free - gpus
 
 
 def _end(held: Held, now: float) -> float:
+    if held.yields_to:
+        return now
     if held.ends_at is None:
         return math.inf
     return held.ends_at if held.ends_at > now else now + _OVERDUE_S
@@ -377,7 +419,7 @@ def to_drain(request: Request, pools: Sequence[Pool], running: Sequence[Held]) -
 
 
 def _victims(request: Request, pool: Pool, running: Sequence[Held]) -> list[Held]:
-    may = [held for held in running if held.pool == pool.name and _yields(held, request)]
+    may = [held for held in running if held.pool == pool.name and may_yield(held, request)]
     may.sort(key=lambda held: (-held.rank, held.lost_s * held.gpus, held.id))
     chosen, free = list[Held](), pool.free
     for held in may:
@@ -393,7 +435,8 @@ def _victims(request: Request, pool: Pool, running: Sequence[Held]) -> list[Held
     return chosen
 
 
-def _yields(held: Held, request: Request) -> bool:
+def may_yield(held: Held, request: Request) -> bool:
+    """Whether the job may have to make room for this one."""
     is_preemptible = held.is_preemptible and held.rank == request.rank and held.who != request.who
     return held.rank > request.rank or is_preemptible
 

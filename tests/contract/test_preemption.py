@@ -41,6 +41,7 @@ def test_a_job_makes_room_and_the_one_that_waited_gets_its_slot(
     high = add(job_store, "ben", priority="high")
     assert job_store.make_room() == {high.id: [low.job_id]}
     assert hears(low) == f"job {high.id}"
+    assert job_store.turn_facts().started[0].yields_to == high.id  # So that a claim keeps the room for it.
     assert job_store.make_room() == {}  # Once.
     low.give_back(Reason.PREEMPTED, "It made room.")
     assert job_store.make_room() == {}  # There is room.

@@ -39,7 +39,8 @@ _DUE = """
         OR not_before > clock_timestamp() + interval '60 s')
 """
 _HEAD = "SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs"
-# The oldest job of each queue, project and user. A row without a queue is of an older version.
+# The oldest job of each queue, project and user, and those for which others drain. A row without a queue is
+# of an older version.
 _HEADS = f"""
     WITH RECURSIVE heads AS (
         SELECT first.* FROM unnest(CAST(:queues AS text[])) AS queues (name) CROSS JOIN LATERAL (
@@ -56,10 +57,13 @@ _HEADS = f"""
     SELECT * FROM heads
     UNION ALL
     {_HEAD} WHERE id = :told AND queue IS NULL AND {_DUE}
+    UNION
+    {_HEAD} WHERE id IN (SELECT yields_to FROM jobs WHERE yields_to IS NOT NULL)
+        AND queue = ANY(CAST(:queues AS text[])) AND {_DUE}
 """  # noqa: S608 # A constant.
 _RUNNING = """
     SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token, attempts.worker,
-        CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s
+        CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s, jobs.yields_to
     FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
     WHERE jobs.status = ANY(CAST(:held AS text[]))
 """
@@ -216,4 +220,5 @@ def started_of(row: Mapping[str, Any]) -> Started:
     device = "gpu" if ":gpu" in row["worker"] else "cpu"  # As a worker names itself.
     gpus = max(1, kind.gpus) * kind.hosts
     who, rank = (row["project"], row["owner"]), rank_of_queue(row["queue"])
-    return Started(row["id"], who, device, gpus, row["age_s"], row["worker"], rank)
+    yields_to = row["yields_to"] or ""
+    return Started(row["id"], who, device, gpus, row["age_s"], row["worker"], rank, yields_to=yields_to)

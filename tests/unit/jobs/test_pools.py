@@ -108,6 +108,19 @@ def test_a_machine_is_kept_only_where_no_other_one_has_room() -> None:
     assert chosen.id == "b"
 
 
+def test_a_gpu_that_no_attempt_has_is_not_free_while_its_worker_says_so() -> None:
+    """A stray process has a GPU of the first machine, and a job has one of the second: both are short."""
+    first = [member(gpu, state="lent" if gpu else "ready") for gpu in (0, 1)]
+    second = [member(gpu, host="i") for gpu in (0, 1)]
+    started = [Started("x", ANN, "gpu", 1, 50.0, "i:gpu:0:00000a")]
+    pools, _ = pools_of("gpu", [*first, *second], started, {})
+    assert [(pool.gpus, pool.free) for pool in pools] == [(2, 1), (2, 1)]
+    facts = TurnFacts([], started, [], NO_QUOTAS)
+    offer = Offer("i/gpu:0,1,2,3", 1, frozenset({1}), [*first, *second])
+    with pytest.raises(NothingFits, match="The job a comes first"):
+        choose_for(offer, [asks("a", 2), asks("b", 1, ANN)], facts)
+
+
 def test_a_forecast_counts_the_gpus_of_each_job() -> None:
     """Three GPUs are free in 20 s. Jobs of ben take 100 s: one starts now, that of four GPUs at 100 s."""
     facts = TurnFacts(

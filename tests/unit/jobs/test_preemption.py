@@ -144,6 +144,22 @@ def test_a_preemptible_job_makes_room_for_a_user_who_stays_ahead_for_a_while(
     assert found == ({"x": ["a"]} if makes_room else {})
 
 
+def test_no_peer_makes_room_for_a_user_who_would_come_after_it_at_the_claim() -> None:
+    """A claim counts all that a running job is expected to use: the slot would go back to the victim."""
+    running = [runs("a", "one", ANN, age_s=10.0), replace(PEER, id="b", worker="two")]
+    waits = [asks("x", ANN, rank=1)]
+    assert drained(waits, running, CPUS, used={ANN: 0.0, BEN: 5000.0}) == {}
+    assert drained(waits, running, CPUS, used={ANN: 0.0, BEN: 2e4}) == {"x": ["b"]}
+
+
+def test_what_gets_room_counts_before_the_next_one_of_its_user() -> None:
+    peers = [PEER, replace(PEER, id="b", worker="two")]
+    waits = [asks("x", ANN, rank=1), asks("y", ANN, rank=1)]
+    used = {ANN: 0.0, BEN: 5000.0}
+    assert drained(waits, peers, CPUS, used=used) == {"x": ["a"]}
+    assert drained(waits, peers, CPUS, used=used, drains={"a": "x"}) == {}
+
+
 def test_waiting_jobs_are_read_only_where_somebody_could_make_room() -> None:
     high, preemptible = runs("a", "one", rank=0), runs("b", "two", rank=1, preemptible=True)
     assert [may_be_asked([high, preemptible], ["a", "b"], rank) for rank in (0, 1, 2)] == [True, True, False]

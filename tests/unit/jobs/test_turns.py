@@ -141,6 +141,18 @@ def test_others_pass_it_on_other_machines_and_on_what_it_leaves_over() -> None:
     assert (found and found.id) == "b"
 
 
+def test_what_drains_for_a_job_is_kept_for_it_beside_what_is_kept_for_others() -> None:
+    """Of eight GPUs four are free, and four drain for `b`; the only other pool is kept for `a`."""
+    pools = [Pool("one", 8, 4), Pool("two", 8, 0)]
+    drains = Held("x", 2, EVE, 4, 0.0, 1e6, "one", yields_to="b")
+    running = [drains, holds("y", gpus=8, pool="two", ends_at=2e6)]
+    small = asks("c", rank=2, gpus=4)
+    assert choose(pools[0], [asks("a", gpus=8), asks("b", gpus=8), small], pools, running, now=0.0) is None
+    # What is more urgent goes first, and nothing is kept for whom nobody waits.
+    assert choose(pools[0], [small, asks("b", gpus=8)], pools, running, now=0.0) == small
+    assert choose(pools[0], [asks("a", gpus=8), small], pools, running, now=0.0) == small
+
+
 def test_one_that_fits_elsewhere_is_left_to_that_machine() -> None:
     pools = [Pool("one", 8, 2), Pool("two", 8, 8)]
     found = choose(pools[0], [asks("a", gpus=8), asks("b", gpus=2)], pools, [], now=0.0)
