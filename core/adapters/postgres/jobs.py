@@ -316,12 +316,12 @@ def _write_attempt() -> Any:
 
 # Built once, as they are parts of each claim and each end.
 SAVE, _WRITE_ATTEMPT = _save(), _write_attempt()
-# As if it were stale where somebody is about to change it.
+# As if it were stale where somebody is about to change it; not where somebody refers to it, as by a new file.
 SAVE_AT_ONCE = SAVE.where(
     jobs.c.id
     == select(jobs.c.id)
     .where(jobs.c.id == bindparam("saved"))
-    .with_for_update(skip_locked=True)
+    .with_for_update(skip_locked=True, key_share=True)
     .scalar_subquery()
 )
 _TAKE_BACK = SAVE.where(leases.is_over())

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import structlog
 from sqlalchemy import Connection, Row, text
 
 from core.adapters.postgres import workers
@@ -24,6 +25,8 @@ from core.jobs.preemption import Holders, making_room, may_be_asked
 from core.jobs.queue import PRIORITIES
 from core.jobs.turns import Request
 from core.jobs.workers import WorkerInfo, able_to_run
+
+log = structlog.get_logger()
 
 # An arbitrary number of ours: one reconciler decides at a time. The rest as for a claim.
 _BEGIN = text("SELECT pg_try_advisory_xact_lock(7310582062), set_config('enable_sort', 'off', true)")
@@ -120,7 +123,13 @@ def _able(connection: Connection, present: Sequence[WorkerInfo], waits: Request)
         job = find_job(connection, waits.id)
     except JobNotFound:
         return ()
-    return {pool_of(one) for one in able_to_run(job, present)} if isinstance(job, Job) else ()
+    if not isinstance(job, Job):
+        return ()
+    try:
+        return {pool_of(one) for one in able_to_run(job, present)}
+    except Exception:  # Of another version, it may say anything; the chore has leases to watch.
+        log.warning("job_gets_no_room", job_id=waits.id, exc_info=True)
+        return ()
 
 
 def _is_movable(row: Row[Any]) -> bool:
