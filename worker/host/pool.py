@@ -127,8 +127,9 @@ class Turn:
         """Give these GPUs to the job."""
         kept = [self._held.pop(gpu) for gpu in gpu_indices(device)]
         for descriptor in kept:
-            os.truncate(descriptor, 0)
-            os.pwrite(descriptor, json.dumps({"job": job_id, "device": device}).encode(), 0)
+            with suppress(OSError):  # A note for `says_who`; the lock holds also on a full disk.
+                os.truncate(descriptor, 0)
+                os.pwrite(descriptor, json.dumps({"job": job_id, "device": device}).encode(), 0)
         return Kept(tuple(kept), self._pool.data_dir / "locks")
 
     def close(self) -> None:

@@ -17,6 +17,8 @@ from worker.preparation.programs import prepare
 
 # The service, and whoever works on this machine, go first.
 _NICENESS = 19
+# Whoever looks whether a lock can go holds it for a moment.
+_LOCKED_S = 5.0
 
 
 def main() -> None:
@@ -26,7 +28,7 @@ def main() -> None:
     device, names = sys.argv[1], sys.argv[2:]
     settings = read(WorkerSettings)
     locks = [Path(settings.data_dir, "locks", f"{name}.lock").absolute() for name in names]
-    with slots(locks, 0.0) as slot_fds:
+    with slots(locks, _LOCKED_S) as slot_fds:
         for environment in settings.prepared:
             prepare(environment, settings, object_store(settings), device, slot_fds)
 

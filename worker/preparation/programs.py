@@ -8,7 +8,8 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import IO
@@ -33,6 +34,8 @@ log = structlog.get_logger()
 PREPARED = "prepared"
 # Drawing is nothing that is compiled: as few and small pictures as there may be.
 _VIDEO = {"width": 64, "height": 64, "fps": 1}
+# After a failure, such as a lock that somebody had, it is tried again so much later.
+_AGAIN_S = 60.0
 PREPARATION = (sys.executable, "-m", "worker.preparation")
 
 
@@ -93,20 +96,28 @@ def _never() -> bool:
 
 
 class IdlePreparation:
-    """The preparation of one worker's device. environments: those to prepare; none: it does nothing."""
+    """The preparation of one worker's device. environments: those to prepare; none: it does nothing.
+
+    clock: seconds.
+    """
 
     def __init__(
-        self, device: str, environments: Sequence[str], command: Sequence[str] = PREPARATION
+        self,
+        device: str,
+        environments: Sequence[str],
+        command: Sequence[str] = PREPARATION,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._device, self._command = device, command
+        self._device, self._command, self._clock = device, command, clock
         self._has_ended = not environments
         self._child: subprocess.Popen[bytes] | None = None
+        self._not_before = 0.0
 
     def go_on(self) -> None:
-        """Start it, unless it runs or has ended. Call it while the worker waits for a job."""
+        """Start it, unless it runs or has ended, or failed just now. Call it while the worker waits."""
         if self._child is not None:
-            self._has_ended = self._child.poll() is not None
-        elif not self._has_ended:
+            self._look(self._child)
+        elif not self._has_ended and self._clock() >= self._not_before:
             names = slot_names(self._device, os.getpid())
             command = [*self._command, self._device, *names]
             self._child = launch(command, _variables(self._device, os.environ), stdout=None, stderr=None)
@@ -119,9 +130,17 @@ class IdlePreparation:
     def stop(self) -> None:
         """End it with all its processes; the next `go_on` starts it again, unless it had come to its end."""
         if self._child is not None:
-            self._has_ended = self._child.poll() is not None
+            self._look(self._child)
+        if self._child is not None:
             kill(self._child)
             self._child = None
+
+    def _look(self, child: subprocess.Popen[bytes]) -> None:
+        """Note whether it has come to its end, or failed."""
+        self._has_ended = child.poll() == 0
+        if child.returncode:
+            kill(child)
+            self._child, self._not_before = None, self._clock() + _AGAIN_S
 
 
 def _variables(device: str, base: Mapping[str, str]) -> dict[str, str]:

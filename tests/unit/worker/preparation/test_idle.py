@@ -98,3 +98,20 @@ def test_it_gets_no_secret_but_those_of_the_object_store(file: Path, monkeypatch
     one.stop()
     assert "GAITWAY_S3_SECRET_KEY" in said
     assert not [name for name in secrets if f"'{name}'" in said]
+
+
+def test_a_failure_is_tried_again_after_a_pause(file: Path) -> None:
+    """One collision at a lock ended the preparation for good."""
+    now = 1000.0
+    command = (sys.executable, "-c", PROGRAM + "sys.exit(1)", str(file), "fails")
+    one = IdlePreparation("cpu", ("ant",), command, lambda: now)
+    one.go_on()
+    ((pid, *_),) = lines(file, 1)
+    os.waitid(os.P_PID, int(pid), os.WEXITED | os.WNOWAIT)
+    one.go_on()
+    one.go_on()
+    assert not one.is_running
+    now += 60.0
+    one.go_on()
+    assert len(lines(file, 2)) == 2
+    one.stop()
