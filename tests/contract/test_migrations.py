@@ -204,6 +204,31 @@ def test_every_step_up_and_down_works_with_rows_and_ends_at_the_same_tables(empt
     fill(empty)
 
 
+def test_damaged_progress_hinders_no_upgrade_and_no_write(empty: Engine) -> None:
+    schema.upgrade(empty)
+    job = fill(empty)
+    schema.downgrade(empty, "0017")
+    damaged = [
+        "{",
+        r'{"step": 1, "note": "\u0000"}',
+        r'{"step": 1, "note": "\udc00"}',
+        '{"step": 1e200000}',
+        '{"step": 1e-200000}',
+        f'{{"step": {200_000 * "1"}}}',
+        '{"step": 1e400}',
+    ]
+    damage = text("UPDATE jobs SET progress = :progress")
+    for progress in damaged:
+        with empty.begin() as connection:
+            connection.execute(damage, {"progress": progress})
+        schema.upgrade(empty)
+        with empty.connect() as connection:
+            steps = connection.execute(text("SELECT progress_step FROM jobs")).scalars().all()
+        assert set(steps) == {None}, progress[:40]
+        assert PostgresJobStore(empty).get(job.id).id == job.id
+        schema.downgrade(empty, "0017")
+
+
 def test_steps_down_and_up_again_keep_the_jobs(empty: Engine) -> None:
     schema.upgrade(empty)
     job = fill(empty)

@@ -65,12 +65,16 @@ def _moment(name: str, *, nullable: bool = True) -> Column[Any]:
     return Column(name, TIMESTAMP(timezone=True), nullable=nullable)
 
 
+# What PostgreSQL refuses in JSON that is valid: U+0000, half a character, a number out of its bounds.
+_REFUSED = r"\\u(0000|d[89a-f])|[0-9.]e[+-]?[0-9]{4}|[0-9]{255}"
+
+
 def _of_progress(name: str, *paths: str) -> Column[Any]:
     """The first number of `progress` that there is: reading the JSON of 10,000 jobs takes 0.4 s."""
     # In PostgreSQL's own form, so that a comparison with the database's finds them equal.
     values = [f"JSON_VALUE(progress::jsonb, '{path}' RETURNING double precision)" for path in paths]
     value = f"COALESCE({', '.join(values)})" if len(values) > 1 else values[0]
-    is_whole = r"progress IS JSON AND progress !~* '\\u(0000|d[89ab])'::text"
+    is_whole = f"progress IS JSON AND progress !~* '{_REFUSED}'::text"
     number = f"CASE WHEN {is_whole} THEN {value} ELSE NULL::double precision END"
     return Column(name, Double, Computed(number, persisted=True))
 

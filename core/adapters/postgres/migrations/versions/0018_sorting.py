@@ -10,6 +10,8 @@ _PATHS = {
     "progress_speed": ["$.steps_per_second"],
     "progress_return": ['$.metrics."eval/episode_reward"', '$.metrics."training/episode_reward"'],
 }
+# What PostgreSQL refuses in JSON that is valid: U+0000, half a character, a number out of its bounds.
+_REFUSED = r"\\u(0000|d[89a-f])|[0-9.]e[+-]?[0-9]{4}|[0-9]{255}"
 
 
 def upgrade() -> None:
@@ -19,8 +21,8 @@ def upgrade() -> None:
 
 
 def _added(name: str, paths: list[str]) -> str:
-    """A damaged record may be no JSON, and PostgreSQL reads neither U+0000 nor half a character."""
-    is_whole = r"progress IS JSON AND progress !~* '\\u(0000|d[89ab])'"
+    """Null for a damaged record."""
+    is_whole = f"progress IS JSON AND progress !~* '{_REFUSED}'"
     values = [f"JSON_VALUE(progress::jsonb, '{path}' RETURNING double precision)" for path in paths]
     value = f"COALESCE({', '.join(values)})" if len(values) > 1 else values[0]
     computed = f"CASE WHEN {is_whole} THEN {value} END"
