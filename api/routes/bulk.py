@@ -80,9 +80,10 @@ def cancel_jobs(body: JsonBody, request: Request, service: ServiceDep, principal
         cancelled.extend([job] * (job.status == JobStatus.CANCELLED))
         return job.status
 
-    found = _each(body, "job.cancelled", cancel, request, service, principal)
-    forget_dispatches(cancelled, service.queue)
-    return answer(found)
+    try:
+        return answer(_each(body, "job.cancelled", cancel, request, service, principal))
+    finally:
+        forget_dispatches(cancelled, service.queue)
 
 
 @router.post("/jobs/delete", **_DOCUMENTED)
@@ -114,13 +115,13 @@ def _each(
 
     def checked(job_id: str) -> str:
         check_job(job_id, principal, service)
-        return act(job_id)
+        result = act(job_id)
+        # At once: what follows may fail.
+        if service.authenticator is not None:
+            service.audit_log.add(actor_of(principal, request), action, f"job {job_id}")
+        return result
 
     outcomes = outcomes_of(job_ids, checked, monotonic() + _LONGEST_S)
-    if service.authenticator is not None:
-        for outcome in outcomes:
-            if outcome.result != "refused":
-                service.audit_log.add(actor_of(principal, request), action, f"job {outcome.job}")
     return Listing[OutcomeView](items=outcomes, next=cursor)
 
 

@@ -11,6 +11,7 @@ from api.routes import bulk
 from core.errors import JobNotFound, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
+from core.jobs.store import JobStore
 from core.reasons import Reason
 from tests.api.accounts import Lab, opened
 from tests.api.conftest import NOON, Attempt, Stack, job
@@ -143,6 +144,27 @@ def test_jobs_of_others_are_refused_each_and_hidden_ones_are_not_found(lab: Lab)
         ("ann", "job.deleted", f"job {ids[0]}"),
         *(("root", "job.deleted", f"job {one}") for one in ids[1:]),
     ]
+
+
+def test_what_was_done_before_a_bug_is_noted_and_the_queue_knows_it(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent = {"kind": "train", "environment": "ant", "project": "a"}
+    first, second = (lab.of("ann").post("/jobs", json=sent).json()["id"] for _ in range(2))
+    cancel = bulk.cancel_in_record
+
+    def failing(job_id: str, *, store: JobStore) -> Job:
+        if job_id == second:
+            raise RuntimeError("A bug.")
+        return cancel(job_id, store=store)
+
+    monkeypatch.setattr(bulk, "cancel_in_record", failing)
+    answer = lab.of("ann").post("/jobs/cancel", json={"jobs": [first, second]})
+    assert answer.status_code == 500
+    lab.service.audit_log.flush()
+    (entry,) = lab.stack.store.audit(action="job.cancelled").entries
+    assert entry.object == f"job {first}"
+    assert [dispatch.job_id for dispatch in lab.stack.queue.waiting()] == [second]
 
 
 def test_an_outage_in_the_middle_and_a_request_that_takes_too_long_leave_the_rest(
