@@ -42,7 +42,7 @@ _AT_ONCE_S = 0.2
 
 @dataclass
 class Chore:
-    """Something to be done repeatedly. An outage delays it, but no other chore."""
+    """Something to be done repeatedly. An outage or a bug delays it, but no other chore."""
 
     name: str
     every_s: float
@@ -56,6 +56,9 @@ class Chore:
             self.do()
         except Unavailable as error:
             log.warning("reconciliation_missed", chore=self.name, error=error.detail)
+        except Exception:  # A bug, or one damaged row, must not end the reconciler.
+            log.exception("chore_failed", chore=self.name)
+            self.done_at = time.monotonic()
         else:
             self.done_at = time.monotonic()
 
@@ -86,6 +89,9 @@ class LongChore:
         except Unavailable as error:  # It begins again in the next pass.
             self._steps = None
             log.warning("reconciliation_missed", chore=self.name, error=error.detail)
+        except Exception:  # As above; what would follow waits for the next time.
+            self._steps, self.done_at = None, time.monotonic()
+            log.exception("chore_failed", chore=self.name)
 
 
 def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
@@ -131,7 +137,7 @@ def main() -> None:
     # In another: a webhook must not wait for a chore.
     news = threading.Thread(target=sender.run, name="news", daemon=True)
     news.start()
-    # One of them ends only because of a bug; the log has the traceback.
+    # Chores go on after a bug. Should a thread end all the same, the log has the traceback.
     while patient.is_alive() and news.is_alive():
         urgent.do_if_due()
         show_life(settings.alive_file)

@@ -21,7 +21,7 @@ from tests.in_memory import MemoryObjectStore
 from tests.unit.jobs.making import make_job
 from tests.unit.jobs.playing import PlayedWorker
 from worker import reconciler
-from worker.reconciler import LongChore
+from worker.reconciler import Chore, LongChore
 
 NOBODYS = "019aa3c2f0b1-0000000000"
 
@@ -220,6 +220,21 @@ class TestLongChore:
             with capture_logs():
                 chore.do_if_due()
         assert begun == [0, 1]
+
+    def test_a_bug_ends_no_process_and_is_met_again_at_the_next_time(self) -> None:
+        begun: list[int] = []
+
+        def fail() -> Iterator[None]:
+            begun.append(len(begun))
+            raise ValueError("A damaged row.")
+
+        for chore in (LongChore("long", 3600, fail), Chore("short", 3600, fail)):
+            begun.clear()
+            with capture_logs() as said:
+                chore.do_if_due()
+                chore.do_if_due()
+            assert begun == [0]
+            assert [(entry["event"], entry["log_level"]) for entry in said] == [("chore_failed", "error")]
 
 
 class Uploads(MemoryObjectStore):
