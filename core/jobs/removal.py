@@ -59,13 +59,18 @@ class Preview:
         return sum(role.size for role in self.roles.values())
 
 
-def verdicts(project: str, rules: RetentionRules, store: JobStore) -> Iterator[Sequence[Verdict]]:
+def verdicts(
+    project: str, rules: RetentionRules, store: JobStore, *, of_needed: bool = False
+) -> Iterator[Sequence[Verdict]]:
     """What the rules say of each ended job, a page at a time, the oldest jobs first.
 
-    Raises RecordsUnavailable.
+    of_needed: only of jobs whose checkpoints others need. Raises RecordsUnavailable.
     """
     now, needs, after = store.now(), store.checkpoint_needs(project), ""
-    while jobs := store.ended_jobs(project, after=after, limit=_PAGE):
+    if of_needed and not needs:
+        return
+    ids = needs.keys() if of_needed else None
+    while jobs := store.ended_jobs(project, ids=ids, after=after, limit=_PAGE):
         after = jobs[-1].id
         by_roles = defaultdict[Collection[str] | None, list[str]](list)
         for job in jobs:
@@ -112,7 +117,7 @@ def check_needed(project: str, rules: RetentionRules, store: JobStore) -> None:
     Raises RetentionNeeded, RecordsUnavailable.
     """
     needed: dict[str, Sequence[str]] = {}
-    for page in verdicts(project, rules, store):
+    for page in verdicts(project, rules, store, of_needed=True):
         # What a sweep needs waits for its end, which is no reason to refuse.
         needed |= {one.job.id: [need.job for need in one.needs] for one in page if one.needs}
     if needed:

@@ -278,11 +278,11 @@ class RetentionStore(Protocol):
     """The part of a JobStore that knows what projects keep. Raises RecordsUnavailable."""
 
     def retention(self, project: str) -> Retention | None:
-        """Raises ProjectNotFound."""
+        """None where there are no rules, or only such as nobody can read. Raises ProjectNotFound."""
         ...
 
     def retentions(self) -> Sequence[Retention]:
-        """Those of all projects that have rules."""
+        """Those of all projects that have rules which can be read."""
         ...
 
     def set_retention(self, project: str, rules: RetentionRules, actor: Actor) -> Retention:
@@ -293,8 +293,11 @@ class RetentionStore(Protocol):
         """Keep everything from now on; no error if the project has no rules. Raises ProjectNotFound."""
         ...
 
-    def ended_jobs(self, project: str, *, after: str = "", limit: int = 1000) -> Sequence[EndedJob]:
-        """The project's ended jobs, the oldest first. after: the id of the last one of the page before."""
+    def ended_jobs(
+        self, project: str, *, ids: Collection[str] | None = None, after: str = "", limit: int = 1000
+    ) -> Sequence[EndedJob]:
+        """The project's ended jobs, the oldest first. ids: only those among these. after: the id of the last
+        one of the page before."""
         ...
 
     def files_of_ended(
@@ -316,6 +319,7 @@ class RetentionStore(Protocol):
 
         One transaction, with a note in the job's events, `Job.removed`, and an entry of the audit log. It
         leaves out what an unfinished job needs by now. None, and nothing is removed, where the job or the
-        rules have changed since they were read, the job is pinned by now, or all of it is needed.
+        rules have changed since they were read, the job is pinned by now, a sweep that goes on has or names
+        it by now, or all of it is needed.
         """
         ...

@@ -7,10 +7,19 @@ import structlog
 from pydantic import ValidationError
 
 from core.accounts.principal import NOBODYS, Ownership
-from core.errors import Problem, Rejected, StaleSweep, SweepFinished, SweepNotFinished, TooManySweeps
+from core.errors import (
+    JobNotFound,
+    Problem,
+    Rejected,
+    StaleSweep,
+    SweepFinished,
+    SweepNotFinished,
+    TooManySweeps,
+)
 from core.jobs.job import new_job_id
 from core.jobs.patch import JobPatch, merged
 from core.jobs.quotas import check_quotas
+from core.jobs.source import source_artifact
 from core.jobs.spec import JobSpec
 from core.jobs.store import Idempotency
 from core.jobs.submission import check_notify, check_readable_model, check_readable_source
@@ -53,7 +62,10 @@ def submit_sweep(
     sweep = Sweep(
         id=new_job_id(now), spec=spec, created_at=now, owner=ownership.owner, project=ownership.project
     )
-    stored = store.add_sweep(sweep, idempotency, most_active=MOST_ACTIVE)
+    try:
+        stored = store.add_sweep(sweep, idempotency, most_active=MOST_ACTIVE)
+    except JobNotFound as error:  # The checkpoint was removed between the check and this.
+        raise _gone(error, spec, store) from None
     log.info("sweep_submitted", sweep_id=stored.id)
     return stored
 
@@ -154,7 +166,20 @@ def resume_sweep(sweep_id: str, budget: Budget, *, store: SweepStore) -> Sweep:
             store.save_sweep(resumed := sweep.next(**changes))
         except StaleSweep:
             continue
+        except JobNotFound as error:
+            raise _gone(error, spec, store) from None
         return resumed
+
+
+def _gone(error: JobNotFound, spec: SweepSpec, store: SweepStore) -> Rejected:
+    """Why the checkpoint that the sweep's job needs is not there."""
+    job = spec.job
+    try:
+        if job.source is not None:
+            source_artifact(job, job.source, store.get)
+    except Rejected as refusal:
+        return in_the_job(refusal)
+    return Rejected(error.detail, [Problem("/job", error.detail)])
 
 
 def delete_sweep(sweep_id: str, *, store: SweepStore) -> None:

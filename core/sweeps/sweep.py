@@ -136,8 +136,8 @@ class SweepStore(JobStore, Protocol):
         self, sweep: Sweep, idempotency: Idempotency | None = None, *, most_active: int | None = None
     ) -> Sweep:
         """Store a new sweep and return it; or, for a key seen before with the same fingerprint, the sweep
-        stored then. Raises IdempotencyKeyReused; TooManySweeps if `most_active` are active. A key is
-        remembered as long as its sweep exists."""
+        stored then. Raises IdempotencyKeyReused; TooManySweeps if `most_active` are active; JobNotFound where
+        the checkpoint of its job's source is gone. A key is remembered as long as its sweep exists."""
         ...
 
     def remembered_sweep(self, idempotency: Idempotency) -> Sweep | None:
@@ -157,8 +157,9 @@ class SweepStore(JobStore, Protocol):
         ...
 
     def save_sweep(self, sweep: Sweep) -> None:
-        """Store the next version. Raises StaleSweep unless the stored version is the one before, and
-        SweepNotFound where there is none."""
+        """Store the next version. Raises StaleSweep unless the stored version is the one before,
+        SweepNotFound where there is none, and JobNotFound where an ended one begins to run again and the
+        checkpoint of its job's source is gone."""
         ...
 
     def delete_sweep(self, sweep_id: str, version: int) -> None:

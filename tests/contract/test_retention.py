@@ -1,9 +1,11 @@
 """What the retention rules of a project remove, over the real record and the real object store."""
 
+from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from core.accounts.store import Actor
 from core.adapters.postgres.store import PostgresJobStore
@@ -11,16 +13,19 @@ from core.adapters.s3.objects import S3ObjectStore
 from core.errors import JobNotFound, ProjectNotFound, Rejected, RetentionNeeded, StorageUnavailable
 from core.jobs import orphans, removal
 from core.jobs.ending import end_deletions
-from core.jobs.job import Artifact, Job, Origin
+from core.jobs.job import Artifact, Job, Origin, new_job_id
 from core.jobs.patch import JobPatch
 from core.jobs.removal import Preview, check_needed, preview
-from core.jobs.retention import PIN, Need, Removal, Retention, RetentionRules
+from core.jobs.retention import PIN, EndedJob, Need, Removal, Retention, RetentionRules
 from core.jobs.source import source_artifact
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery
 from core.jobs.submission import submit
 from core.reasons import Reason
 from core.storage import keys
+from core.sweeps.actions import resume_sweep
+from core.sweeps.spec import Budget
+from core.sweeps.sweep import SweepStatus
 from tests.contract.recording import NOW, Database, artifact, held, queued_job
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.unit.sweeps.making import JOB, sweep_of, trial_of
@@ -277,6 +282,27 @@ def test_rules_that_would_remove_what_a_waiting_job_needs_are_refused_with_the_j
     assert [one.files for one in job_store.get(source.id).removed] == [2]
 
 
+def test_only_jobs_that_others_need_are_read_before_rules_are_set(
+    job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = list[str]()
+    ended_jobs = job_store.ended_jobs
+
+    def noting(project: str, **which: Any) -> Sequence[EndedJob]:
+        found = ended_jobs(project, **which)
+        read.extend(job.id for job in found)
+        return found
+
+    monkeypatch.setattr(job_store, "ended_jobs", noting)
+    source, _ = (ended(job_store, None, queued_job(at), "checkpoint-1", "checkpoint-2") for at in (0, 1))
+    check_needed("default", RetentionRules(checkpoints=1), job_store)
+    assert read == []
+    job_store.add(queued_job(2, resume_from={"job": source.id, "step": 1}))
+    with pytest.raises(RetentionNeeded):
+        check_needed("default", RetentionRules(checkpoints=1), job_store)
+    assert read == [source.id]
+
+
 @pytest.fixture
 def judged(job_store: PostgresJobStore) -> tuple[Job, Removal, Retention]:
     """A job, what the rules remove of it, and the rules; nothing is removed yet."""
@@ -302,6 +328,33 @@ def test_a_job_that_is_pinned_by_now_keeps_all(
     job, planned, rules = judged
     job_store.patch(job.id, JobPatch(labels={PIN: "yes"}))
     assert job_store.remove_retained(planned, rules) is None
+
+
+def test_a_job_that_a_new_sweep_needs_keeps_all(
+    job_store: PostgresJobStore, judged: tuple[Job, Removal, Retention]
+) -> None:
+    job, planned, rules = judged
+    job_store.add_sweep(sweep_of(job={**JOB, "resume_from": {"job": job.id}}))
+    assert job_store.remove_retained(planned, rules) is None
+    assert names_of(job_store, job) == ["checkpoint-10", "checkpoint-20"]
+
+
+def test_a_sweep_that_comes_or_is_resumed_too_late_is_refused_with_the_reason(
+    job_store: PostgresJobStore, judged: tuple[Job, Removal, Retention]
+) -> None:
+    job, planned, rules = judged
+    needing = sweep_of(job={**JOB, "resume_from": {"job": job.id, "step": 10}})
+    job_store.add_sweep(needing)
+    job_store.save_sweep(over := needing.next(status=SweepStatus.CANCELLED))
+    late = needing.model_copy(update={"id": new_job_id(NOW)})
+    assert job_store.remove_retained(planned, rules) is not None
+    with pytest.raises(JobNotFound):
+        job_store.add_sweep(late)
+    assert [one.id for one in job_store.list_sweeps().sweeps] == [over.id]
+    with pytest.raises(Rejected, match="The retention rule `checkpoints` of its project removed") as refusal:
+        resume_sweep(over.id, Budget(), store=job_store)
+    assert [one.pointer for one in refusal.value.problems] == ["/job/resume_from/step"]
+    assert job_store.get_sweep(over.id) == over
 
 
 def test_a_job_that_comes_too_late_is_refused_with_the_reason(
@@ -353,6 +406,28 @@ def test_days_count_from_an_import_and_other_projects_are_not_touched(job_store:
     theirs = queued_job(1).model_copy(update={**done, "project": "theirs", "artifacts": video})
     job_store.add(theirs)
     assert shown(job_store, videos_days=1).jobs == 0
+
+
+def test_one_damaged_row_stops_no_other(job_store: PostgresJobStore, database: Database) -> None:
+    damaged = ended(job_store, None, queued_job(), "video", "checkpoint-1", "checkpoint-2")
+    origin = '{"job": "x", "version": "1", "imported_at": "once"}'
+    database.damage(damaged, imported_from=origin, removed='{"rule": 1}')
+    whole = ended(job_store, None, queued_job(1), "video")
+    set_rules(job_store, checkpoints=1, videos_days=1)
+    database.change("INSERT INTO projects (name, created_at) VALUES ('aaa', now())")
+    bad = '{"checkpoints": 0}'
+    database.change("INSERT INTO retention (project, rules, set_at) VALUES ('aaa', %s, now())", bad)
+    with capture_logs() as said:
+        apply(job_store, MemoryObjectStore())
+        assert job_store.retention("aaa") is None
+    # Nobody knows since when days count.
+    left = set(job_store.objects_named([damaged.id, whole.id]))
+    assert left == {file(damaged, name).key for name in ("video", "checkpoint-2")}
+    assert {entry["event"] for entry in said} >= {
+        "retention_unreadable",
+        "origin_unreadable",
+        "removed_unreadable",
+    }
 
 
 def test_unreadable_rules_and_jobs_do_no_harm(job_store: PostgresJobStore, database: Database) -> None:

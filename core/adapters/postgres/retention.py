@@ -4,10 +4,11 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
-from pydantic_core import from_json
+import structlog
+from pydantic import TypeAdapter
 from sqlalchemy import (
     Connection,
     Row,
@@ -54,6 +55,9 @@ from core.jobs.retention import (
 from core.jobs.status import JobStatus
 from core.jobs.store import note_entry
 
+log = structlog.get_logger()
+
+_REMOVED = TypeAdapter(list[Removed])
 _FINAL = tuple(status.value for status in JobStatus if status.is_final)
 _ACTIVE_SWEEPS = select(sweeps.c.id, sweeps.c.spec).where(sweeps.c.status.in_(("running", "cancelling")))
 _GOING_TRIALS = (
@@ -80,6 +84,7 @@ _ENDED = (
     .order_by(jobs.c.id)
     .limit(bindparam("most"))
 )
+_ENDED_OF = _ENDED.where(jobs.c.id == any_(IDS))
 # By a lateral join each job is looked up by the index: `= ANY` read the whole table for each page. A row for
 # each job takes half the time of a row for each file.
 _FILES = text("""
@@ -116,12 +121,12 @@ class RetentionQueries(Session):
         with self._statements() as connection:
             require_project(connection, project)
             row = connection.execute(select(retention).where(retention.c.project == project)).first()
-        return None if row is None else _retention(row)
+        return None if row is None else _readable(row)
 
     def retentions(self) -> Sequence[Retention]:
         with self._statements() as connection:
             found = connection.execute(select(retention).order_by(retention.c.project)).all()
-        return [_retention(row) for row in found]
+        return [readable for row in found if (readable := _readable(row)) is not None]
 
     def set_retention(self, project: str, rules: RetentionRules, actor: Actor) -> Retention:
         values = {"rules": rules.model_dump_json(), "set_at": NOW, "set_by": actor.user}
@@ -140,9 +145,15 @@ class RetentionQueries(Session):
             if connection.execute(gone).first() is not None:
                 note_audit(connection, actor, "retention.ended", f"project {project}")
 
-    def ended_jobs(self, project: str, *, after: str = "", limit: int = 1000) -> Sequence[EndedJob]:
+    def ended_jobs(
+        self, project: str, *, ids: Collection[str] | None = None, after: str = "", limit: int = 1000
+    ) -> Sequence[EndedJob]:
+        page = {"project": project, "after": after, "most": limit}
         with self._statements() as connection:
-            found = connection.execute(_ENDED, {"project": project, "after": after, "most": limit}).all()
+            if ids is None:
+                found = connection.execute(_ENDED, page).all()
+            else:
+                found = connection.execute(_ENDED_OF, {**page, "ids": [*ids]}).all()
             sweep_of = _sweeps_that_go_on(connection, [row.id for row in found])
         return [_ended(row, sweep_of.get(row.id)) for row in found]
 
@@ -186,6 +197,9 @@ class RetentionQueries(Session):
             row = connection.execute(held).first()
             if row is None or row.version != job.version or row.is_pinned:
                 return None
+            # With `add_sweep`, likewise.
+            if _sweeps_that_go_on(connection, [job.id]):
+                return None
             needs = connection.execute(borrowers_of(job.id)).all()
             if removal.is_whole:
                 if needs:
@@ -220,7 +234,7 @@ def _remove_files(
     its = (artifacts.c.job_id == job_id) & (artifacts.c.name == any_(literal(names, ARRAY(Text))))
     gone = connection.execute(delete(artifacts).where(its).returning(artifacts.c.key)).scalars().all()
     now = connection.execute(select(NOW)).scalar_one()
-    told = _added(before, removal, now)
+    told = _added(job_id, before, removal, now)
     left = select(func.coalesce(func.sum(artifacts.c.size), 0)).where(artifacts.c.job_id == job_id)
     changes = {"version": jobs.c.version + 1, "removed": told, "bytes": left.scalar_subquery()}
     connection.execute(update(jobs).where(jobs.c.id == job_id).values(changes))
@@ -228,9 +242,13 @@ def _remove_files(
     return gone
 
 
-def _added(before: str | None, removal: Removal, now: datetime) -> str:
-    """What rules have removed of the job, with this removal."""
-    known = {one.rule: one for one in map(Removed.model_validate, from_json(before or "[]"))}
+def _added(job_id: str, before: str | None, removal: Removal, now: datetime) -> str:
+    """What rules have removed of the job, with this removal; without what cannot be read."""
+    try:
+        known = {one.rule: one for one in _REMOVED.validate_json(before or "[]")}
+    except ValueError as error:
+        log.warning("removed_unreadable", job_id=job_id, problem=str(error))
+        known = {}
     for rule, files in removal.files.items():
         had = known.get(rule, Removed(rule=rule, at=now, files=0, size=0))
         known[rule] = Removed(
@@ -252,10 +270,18 @@ def _sweeps_that_go_on(connection: Connection, job_ids: Sequence[str]) -> dict[s
     return found
 
 
+# Days since then have not passed: no rule of days is due.
+_NEVER = datetime.max.replace(tzinfo=UTC)
+
+
 def _ended(row: Any, sweep: str | None) -> EndedJob:
     since = row.ended_at
     if row.imported_from is not None:
-        since = max(since, Origin.model_validate_json(row.imported_from).imported_at)
+        try:
+            since = max(since, Origin.model_validate_json(row.imported_from).imported_at)
+        except (ValueError, TypeError) as error:  # A time without a zone is no ValueError.
+            log.warning("origin_unreadable", job_id=row.id, problem=str(error))
+            since = _NEVER
     return EndedJob(
         row.id,
         row.version,
@@ -266,6 +292,15 @@ def _ended(row: Any, sweep: str | None) -> EndedJob:
         is_pinned=row.is_pinned,
         sweep=sweep,
     )
+
+
+def _readable(row: Row[Any]) -> Retention | None:
+    """None where nobody can read the rules: the project keeps everything until it sets others."""
+    try:
+        return _retention(row)
+    except ValueError as error:
+        log.warning("retention_unreadable", project=row.project, problem=str(error))
+        return None
 
 
 def _retention(row: Row[Any]) -> Retention:

@@ -17,7 +17,7 @@ from core.adapters.postgres.engine import Session
 from core.adapters.postgres.jobs import KEYS_REMEMBERED, add_job, hashed
 from core.adapters.postgres.listing import Part
 from core.adapters.postgres.tables import NOW, jobs, sweeps, trials
-from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound, TooManySweeps
+from core.errors import IdempotencyKeyReused, JobNotFound, StaleSweep, SweepNotFound, TooManySweeps
 from core.jobs.job import JOB_ID, Job
 from core.jobs.store import ANYBODYS, Idempotency, Whose
 from core.sweeps.news import news_of_sweep
@@ -38,7 +38,10 @@ class SweepQueries(Session):
         self, sweep: Sweep, idempotency: Idempotency | None = None, *, most_active: int | None = None
     ) -> Sweep:
         with self._transaction() as connection:
-            return _add(connection, sweep, idempotency, most_active)
+            stored = _add(connection, sweep, idempotency, most_active)
+            if stored is sweep:  # No earlier one of this key.
+                _hold_source(connection, sweep)
+            return stored
 
     def remembered_sweep(self, idempotency: Idempotency) -> Sweep | None:
         is_remembered = sweeps.c.created_at > NOW - KEYS_REMEMBERED
@@ -74,6 +77,8 @@ class SweepQueries(Session):
             if row is None:
                 _refuse(connection, sweep.id)
             if row.status != sweep.status:
+                if sweep.status == SweepStatus.RUNNING:
+                    _hold_source(connection, sweep)
                 news.add(connection, news_of_sweep(sweep))
 
     def delete_sweep(self, sweep_id: str, version: int) -> None:
@@ -211,6 +216,18 @@ def _add(
         return sweep
     # None if it was deleted between the two statements.
     return _of_key(connection, idempotency) or _add(connection, sweep, idempotency, most_active)
+
+
+def _hold_source(connection: Connection, sweep: Sweep) -> None:
+    """Of a job whose checkpoint all trials need: whoever removes it comes after this, and sees the sweep.
+
+    Where only some need one, their attempts say what is gone. Raises JobNotFound.
+    """
+    source = sweep.spec.job.source
+    if source is None or source.pointer[1:] in {name.partition(".")[0] for name in sweep.spec.parameters}:
+        return
+    if not rows.hold_source(connection, source):
+        raise JobNotFound(source.job)
 
 
 def _of_key(connection: Connection, idempotency: Idempotency, *conditions: Any) -> Sweep | None:
