@@ -34,6 +34,10 @@ from core.jobs.workers import WorkerInfo
 LEAST_RUN_S = 60.0
 # A job of the same priority stays ahead though it has run for so long.
 HEAD_START_S = 300.0
+# So long after the last ones, no others are asked for a waiting job: what they left may be taken by another.
+ASKED_AGAIN_S = 30.0
+# What has not drained by then never will: its worker is of an older version, and does not hear of it.
+DRAINED_WITHIN_S = 600.0
 # How many waiting jobs are compared with the workers at one look: each is read from the record.
 _MOST_LOOKED_AT = 100
 
@@ -43,12 +47,13 @@ class Holders:
     """What the record says of one moment. facts: of those that wait, the oldest of each user.
 
     movable: the running trainings that could make room, by their ids. drains: those that do, each with the
-    job for which.
+    job for which. asked: the waiting jobs for which others were asked a moment ago.
     """
 
     facts: TurnFacts
     movable: Collection[str]
     drains: Mapping[str, str]
+    asked: Collection[str] = ()
 
 
 def may_be_asked(started: Sequence[Started], movable: Collection[str], rank: int) -> bool:
@@ -92,7 +97,8 @@ def making_room(
             fitting = [could[name] for name in sorted(could.keys() & able(request))]
             taken = next((pool.name for pool in fitting if pool.has_room(request)), None)
             if taken is None:
-                victims = _victims(request, fitting, may, side.claims)
+                was_asked = request.id in holders.asked
+                victims = list[Held]() if was_asked else _victims(request, fitting, may, side.claims)
                 if not victims:
                     continue
                 found[request.id] = [held.id for held in victims]

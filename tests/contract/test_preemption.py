@@ -1,11 +1,15 @@
 """Running jobs that make room for waiting ones, in the real record."""
 
+from collections.abc import Callable
 from datetime import timedelta
 
+import psycopg
 import pytest
 
 from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.attempts import Claim
+from core.jobs.job import Job
+from core.jobs.preemption import ASKED_AGAIN_S, DRAINED_WITHIN_S
 from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerInfo
@@ -144,3 +148,65 @@ def test_a_preemptible_job_makes_room_for_a_user_who_has_used_less(
         claims = [take(alone) for _ in range(2)]
         # The one that made room comes after; Ann's oldest comes before her next.
         assert [claim.job_id for claim in claims if claim] == [waiting.id, running.job_id]
+
+
+def _is(job_id: str) -> Callable[[Job], bool]:
+    return lambda job: job.id == job_id
+
+
+def pass_time(database: Database, seconds: float) -> None:
+    database.change("UPDATE jobs SET room_asked_at = room_asked_at - %s", timedelta(seconds=seconds))
+
+
+def test_who_does_not_drain_is_not_waited_for(alone: PostgresJobStore, database: Database) -> None:
+    """A worker of an older version does not hear that it is to make room."""
+    deaf = begin(alone, database, priority="low")
+    high = add(alone, "ben", priority="high")
+    assert alone.make_room() == {high.id: [deaf.job_id]}
+    other = WorkerInfo.model_validate({**alone.workers()[0].model_dump(), "name": "host:cpu:00000b"})
+    alone.announce(other, timedelta(seconds=40))
+    second = add(alone, "ann", priority="low")
+    take(alone, fits=_is(second.id))
+    database.change("UPDATE attempts SET worker = %s WHERE job_id = %s", other.name, second.id)
+    pass_time(database, DRAINED_WITHIN_S - 5)
+    assert alone.make_room() == {}
+    pass_time(database, 5)
+    assert not any(one.yields_to for one in alone.turn_facts().started)
+    assert alone.make_room() == {high.id: [second.id]}
+
+
+def test_if_another_took_the_slot_the_next_ones_are_asked_after_a_while(
+    job_store: PostgresJobStore, low: Claim, database: Database
+) -> None:
+    high = add(job_store, "ben", priority="high")
+    assert job_store.make_room() == {high.id: [low.job_id]}
+    low.give_back(Reason.PREEMPTED, "It made room.")
+    assert take(job_store, fits=_is(low.job_id)) is not None
+    assert job_store.make_room() == {}
+    pass_time(database, ASKED_AGAIN_S)
+    assert job_store.make_room() == {high.id: [low.job_id]}
+
+
+def test_a_job_that_cannot_be_resolved_gets_no_room_and_stops_nothing(
+    job_store: PostgresJobStore, low: Claim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The chore that makes room also watches the leases."""
+    high = add(job_store, "ben", priority="high")
+
+    def fail(job: Job, workers: object) -> None:
+        raise KeyError(job.id)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("core.adapters.postgres.preemption.able_to_run", fail)
+        assert job_store.make_room() == {}
+    assert job_store.make_room() == {high.id: [low.job_id]}
+
+
+def test_a_job_to_which_somebody_refers_is_claimed(job_store: PostgresJobStore, database_url: str) -> None:
+    """A transaction that adds a row of another table locks the job as a foreign key does."""
+    job = add(job_store)
+    with psycopg.connect(database_url) as other:
+        other.execute("SELECT FROM jobs WHERE id = %s FOR KEY SHARE", [job.id])
+        claim = take(job_store)
+    assert claim is not None
+    assert claim.job_id == job.id

@@ -21,7 +21,13 @@ from core.adapters.postgres.turns import facts_of, facts_query, rank_of_queue, s
 from core.errors import JobNotFound
 from core.jobs.job import Job
 from core.jobs.pools import pool_of
-from core.jobs.preemption import Holders, making_room, may_be_asked
+from core.jobs.preemption import (
+    ASKED_AGAIN_S,
+    DRAINED_WITHIN_S,
+    Holders,
+    making_room,
+    may_be_asked,
+)
 from core.jobs.queue import PRIORITIES
 from core.jobs.turns import Request
 from core.jobs.workers import WorkerInfo, able_to_run
@@ -63,14 +69,17 @@ _OLDEST = """
     WHERE (oldest.project, oldest.owner) = (groups.project, groups.owner)
 """
 _FACTS = facts_query(_OLDEST)
-# An attempt that has ended meanwhile, or is being cancelled, makes no room; nor for a job that waits no more.
+_ASKED = text("""
+    SELECT id, CAST(extract(epoch FROM clock_timestamp() - room_asked_at) AS float) AS age_s
+    FROM jobs WHERE id = ANY(CAST(:waiting AS text[])) AND room_asked_at IS NOT NULL
+""")
+# Nobody makes room for a job that waits no more; nor does an attempt that has ended meanwhile, or is being
+# cancelled.
+_ASK = text("UPDATE jobs SET room_asked_at = clock_timestamp() WHERE id = :waiting AND status = 'queued'")
 _TELL = text("""
     UPDATE jobs SET yields_to = :waiting
     WHERE id = :id AND token = :token AND status IN ('starting', 'running') AND yields_to IS NULL
-        AND EXISTS (SELECT FROM jobs AS others WHERE others.id = :waiting AND others.status = 'queued')
 """)
-
-
 _ROOMS = text("""
     SELECT jobs.id, jobs.yields_to, jobs.project = waiting.project AS is_of_its_project
     FROM jobs JOIN jobs AS waiting ON waiting.id = jobs.yields_to
@@ -101,13 +110,20 @@ class PreemptionQueries(Session):
             if not facts.waiting:
                 return {}
             drains = {row.id: row.yields_to for row in running if row.yields_to is not None}
-            holders = Holders(replace(facts, started=started), movable, drains)
+            waiting = [*(request.id for request in facts.waiting), *drains.values()]
+            asked_s = {row.id: row.age_s for row in connection.execute(_ASKED, {"waiting": waiting})}
+            drains = {
+                job: waits for job, waits in drains.items() if asked_s.get(waits, 0.0) < DRAINED_WITHIN_S
+            }
+            just_asked = {waits for waits, age_s in asked_s.items() if age_s < ASKED_AGAIN_S}
+            holders = Holders(replace(facts, started=started), movable, drains, just_asked)
             found = making_room(holders, present, partial(_able, connection, present))
             tokens = {row.id: row.token for row in running}
-            for waiting, victims in found.items():
-                for victim in victims:
-                    connection.execute(_TELL, {"waiting": waiting, "id": victim, "token": tokens[victim]})
-        return found
+            return {
+                waits: victims
+                for waits, victims in found.items()
+                if _tell(connection, waits, victims, tokens)
+            }
 
     def rooms(self) -> Mapping[str, Sequence[str]]:
         found = defaultdict[str, list[str]](list)
@@ -115,6 +131,15 @@ class PreemptionQueries(Session):
             for row in connection.execute(_ROOMS, {"held": list(HELD)}):
                 found[row.yields_to].append(in_words(row.id, row.is_of_its_project))
         return found
+
+
+def _tell(connection: Connection, waits: str, victims: Sequence[str], tokens: Mapping[str, str]) -> bool:
+    """Write down who makes room for the job; False if it waits no more."""
+    if not connection.execute(_ASK, {"waiting": waits}).rowcount:
+        return False
+    for victim in victims:
+        connection.execute(_TELL, {"waiting": waits, "id": victim, "token": tokens[victim]})
+    return True
 
 
 def _able(connection: Connection, present: Sequence[WorkerInfo], waits: Request) -> Collection[str]:

@@ -123,6 +123,8 @@ jobs = Table(
     Column("preemptible", Boolean, nullable=False, server_default="false"),
     # The waiting job for which the attempt that holds it drains.
     Column("yields_to", Text),
+    # When others were last told to drain for it.
+    _moment("room_asked_at"),
     Column("owner", Text),
     Column("project", Text, nullable=False, server_default="default"),
     # Of all its files, so that sums over many jobs read none of them.

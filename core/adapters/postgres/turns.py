@@ -21,6 +21,7 @@ from core.adapters.postgres.usage import SHARES
 from core.errors import IllegalTransition, JobNotFound, StaleJob
 from core.jobs.job import Job
 from core.jobs.pools import GIVEN, NothingFits, Offer, choose_for
+from core.jobs.preemption import DRAINED_WITHIN_S
 from core.jobs.queue import PRIORITIES
 from core.jobs.slots import kind_of_queue
 from core.jobs.turns import Request, Share, Started, TurnFacts, Who, in_order, standings_on
@@ -61,12 +62,17 @@ _HEADS = f"""
     {_HEAD} WHERE id IN (SELECT yields_to FROM jobs WHERE yields_to IS NOT NULL)
         AND queue = ANY(CAST(:queues AS text[])) AND {_DUE}
 """  # noqa: S608 # A constant.
-_RUNNING = """
+_RUNNING = f"""
     SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token, attempts.worker,
-        CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s, jobs.yields_to
+        CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s,
+        (
+            SELECT id FROM jobs AS waiting WHERE id = jobs.yields_to AND status = 'queued' AND coalesce(
+                room_asked_at > clock_timestamp() - interval '{DRAINED_WITHIN_S} s', true
+            )
+        ) AS yields_to
     FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
     WHERE jobs.status = ANY(CAST(:held AS text[]))
-"""
+"""  # noqa: S608 # A constant.
 # The oldest; what is beyond has no forecast.
 _WAITING = """
     SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs WHERE status = 'queued'

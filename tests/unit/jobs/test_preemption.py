@@ -49,6 +49,7 @@ def drained(
     workers: Sequence[WorkerInfo],
     *,
     drains: Mapping[str, str] | None = None,
+    asked: Collection[str] = (),
     used: Mapping[tuple[str, str], float] | None = None,
     quotas: Mapping[tuple[str, str], Quota] | None = None,
     able: Collection[str] | None = None,
@@ -58,7 +59,7 @@ def drained(
     movable = {one.id for one in started} - drains.keys()
     facts = TurnFacts(waiting, started, shares, Quotas(quotas or {}))
     named = {one.name for one in workers} if able is None else able
-    return making_room(Holders(facts, movable, drains), workers, lambda _: named)
+    return making_room(Holders(facts, movable, drains, asked), workers, lambda _: named)
 
 
 CPUS = [worker("one"), worker("two")]
@@ -89,6 +90,9 @@ def test_no_second_job_drains_for_one_that_gets_room() -> None:
     waiting = [asks("x"), asks("y")]
     assert drained(waiting[:1], BUSY, CPUS, drains={"b": "x"}) == {}
     assert drained(waiting, BUSY, CPUS, drains={"b": "x"}) == {"y": ["a"]}
+    # Others were asked a moment ago.
+    assert drained(waiting[:1], BUSY, CPUS, asked=["x"]) == {}
+    assert drained(waiting[:1], BUSY[:1], CPUS, asked=["x"]) == {}
     # Whoever was cancelled leaves its room to the next.
     assert drained(waiting[1:], BUSY, CPUS, drains={"b": "x"}) == {}
 
