@@ -1,5 +1,6 @@
 """The GPUs that workers of a machine share out: locks in one folder, and what is written beside them."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from tests.faults.bench import unused_servers
 from worker.host import device
 from worker.host.device_health import set_aside
 from worker.host.locks import slot
-from worker.host.pool import Membership, Pool, pool_of
+from worker.host.pool import Membership, Pool, Turn, pool_of
 
 LOCKS = {number: f"gpu-boot-nvidia{number}" for number in range(4)}
 
@@ -78,6 +79,12 @@ def test_a_worker_waits_while_its_gpu_is_lent_and_while_gpus_are_kept(pool: Pool
     assert not membership.look()
     now = 20.0
     assert membership.look()
+
+
+def test_a_full_disk_takes_no_gpu_from_a_job(pool: Pool) -> None:
+    """The job was claimed already: the worker ended with it."""
+    with Turn(pool, {1: os.open("/dev/full", os.O_RDWR)}).keep("gpu:1", "019aa3") as descriptors:
+        assert len(descriptors) == 1
 
 
 def test_a_pool_is_of_workers_with_one_gpu_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
