@@ -247,6 +247,31 @@ def test_of_a_folded_sweep_the_first_trial_in_the_lists_order_is_there(
     assert found(sweep=sweep.id, sort=names) == ["best", "mean", "worst"]
 
 
+def test_jobs_that_are_no_trials_read_no_trials(jobs: SweepStore, database: Database) -> None:
+    """PostgreSQL read every trial for each of them, which took seconds."""
+    sweep = jobs.add_sweep(sweep_of())
+    jobs.add(queued_job(1))
+    database.change(
+        "INSERT INTO jobs (id, version, kind, environment, labels, spec, status, created_at) "
+        "SELECT lpad(to_hex(n), 12, '0') || '-0000000000', version, kind, environment, labels, spec, status, "
+        "created_at FROM jobs, generate_series(1, 50200) AS n"
+    )
+    # The newest two hundred are none.
+    database.change(
+        "INSERT INTO trials (sweep_id, number, job_id, created_at, document) "
+        "SELECT %s, n, lpad(to_hex(n), 12, '0') || '-0000000000', now(), '{}' "
+        "FROM generate_series(1, 50000) AS n",
+        sweep.id,
+    )
+    database.change("ANALYZE jobs")
+    database.change("ANALYZE trials")
+    for query in (JobQuery(sweep=FOLDED), JobQuery(sweep=FOLDED, kind="train")):
+        began = jobs.now()
+        page = jobs.list(query, limit=150)
+        assert jobs.now() - began < timedelta(seconds=1)
+        assert len(page.jobs) == 150
+
+
 def test_a_sweep_is_known_by_its_jobs(jobs: SweepStore, swept: tuple[Sweep, list[Job]]) -> None:
     sweep, added = swept
     trials = {job.id: sweep.id for job in added if job.spec.name in ("best", "worst", "mean")}

@@ -16,10 +16,12 @@ from sqlalchemy import (
     FromClause,
     Row,
     Select,
+    case,
     exists,
     func,
     or_,
     select,
+    true,
     union_all,
 )
 
@@ -208,22 +210,24 @@ def matches(query: JobQuery, table: FromClause, part: Part) -> list[ColumnElemen
     if query.sweep == NO_SWEEP:
         wanted.append(~exists().where(trials.c.job_id == table.c.id))
     if query.sweep == FOLDED and query.sort is None:
-        wanted.append(table.c.id == func.coalesce(_newest_of_its_sweep(query, table), table.c.id))
+        wanted.append(_is_newest_of_its_sweep(query, table))
     return wanted
 
 
-def _newest_of_its_sweep(query: JobQuery, table: FromClause) -> ColumnElement[Any]:
-    """The newest job that matches of the sweep that a row's job is a trial of; null for another job.
+def _is_newest_of_its_sweep(query: JobQuery, table: FromClause) -> ColumnElement[bool]:
+    """Whether it is the newest that matches of its sweep's trials; true for a job that is no trial.
 
-    The jobs of a sweep have one owner and one project.
+    The jobs of a sweep have one owner and one project. Only for a trial are others looked at, and only newer
+    ones: PostgreSQL may read all trials there are to find none.
     """
     mine, others, sibling = trials.alias("mine"), trials.alias("others"), jobs.alias("sibling")
-    wanted = select(others.c.job_id).where(
-        mine.c.job_id == table.c.id, others.c.sweep_id == mine.c.sweep_id, others.c.job_id.isnot(None)
-    )
+    sweep = select(mine.c.sweep_id).where(mine.c.job_id == table.c.id).limit(1).correlate(table)
+    among = [others.c.sweep_id == sweep.scalar_subquery(), others.c.job_id >= table.c.id]
+    newest_first = select(others.c.job_id).where(*among).order_by(others.c.job_id.desc()).correlate(table)
     if filters := _filters(query, sibling):
-        wanted = wanted.where(sibling.c.id == others.c.job_id, *filters)
-    return wanted.order_by(others.c.job_id.desc()).limit(1).correlate(table).scalar_subquery()
+        newest_first = newest_first.where(sibling.c.id == others.c.job_id, *filters)
+    is_newest = table.c.id == newest_first.limit(1).scalar_subquery()
+    return case((sweep.scalar_subquery().is_(None), true()), else_=is_newest)
 
 
 def _filters(query: JobQuery, table: FromClause) -> list[ColumnElement[bool]]:
