@@ -33,7 +33,7 @@ from core.sweeps.axes import (
 )
 from core.sweeps.pbt import problems_of_population, steps_until
 from core.sweeps.results import SEED, refusal_of_metric
-from core.sweeps.spec import MAX_TRIALS, Axis, Range, SweepSpec
+from core.sweeps.spec import MAX_TRIALS, MOST_SWEEP_LABELS, Axis, Range, SweepSpec
 from core.sweeps.sweep import Trial
 
 _MAX_LABELS = 62
@@ -153,7 +153,13 @@ def _check_length(spec: SweepSpec, trials: Sequence[Trial]) -> None:
 
 
 def check_labels(spec: SweepSpec) -> None:
-    """A job has 64 labels at most, and a trial gets `sweep` and `trial` besides."""
+    """A job has 64 labels at most, and a trial gets `sweep` and `trial` besides.
+
+    With more of its own than its specification takes, a changed sweep could never be read again.
+    """
+    if (number := len(spec.labels)) > MOST_SWEEP_LABELS:
+        detail = f"The sweep would have {number} labels; at most {MOST_SWEEP_LABELS} are allowed."
+        _refuse(detail, "/labels")
     if len({*spec.job.labels, *spec.labels}) > _MAX_LABELS:
         _refuse(f"The job and the sweep have more than {_MAX_LABELS} labels together.", "/labels")
 

@@ -193,6 +193,9 @@ class Population(Strict):
         return max(1, int(self.truncation * self.size + 1e-9))
 
 
+MOST_SWEEP_LABELS = 60
+
+
 class SweepSpec(Strict):
     """A job, the settings that vary between its trials, and what the trials are judged by."""
 
@@ -200,7 +203,9 @@ class SweepSpec(Strict):
     project: AccountName | None = Field(
         default=None, description="That of all trials; by default the one that `job` says."
     )
-    labels: dict[LabelName, Text] = Field(default={}, max_length=60, description="The trials get them, too.")
+    labels: dict[LabelName, Text] = Field(
+        default={}, max_length=MOST_SWEEP_LABELS, description="The trials get them, too."
+    )
     note: Note | None = Field(default=None, description="Plain text about it, for people.")
     job: SentSpec
     method: Method = "random"

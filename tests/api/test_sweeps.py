@@ -207,10 +207,23 @@ def test_a_sweep_is_changed_and_its_next_trials_have_its_labels(
     look()
     second = stack.http.get("/jobs").json()["items"][0]
     assert [{"team", "draft"} & set(one["labels"]) for one in (first, second)] == [{"draft"}, {"team"}]
-    many = {"labels": {f"l{n}": "" for n in range(63)}}
+    # It has one already.
+    many = {"labels": {f"l{n}": "" for n in range(60)}}
     document = problem(stack.http.patch(here, json=many), 422, "invalid-request")
-    assert "labels together" in document["detail"]
+    assert document["detail"] == "The sweep would have 61 labels; at most 60 are allowed."
+    del many["labels"]["l0"]
+    assert stack.http.patch(here, json=many).status_code == 200
+    assert len(stack.http.get(here).json()["labels"]) == 60
     problem(stack.http.patch("/sweeps/019aa3c2f0b1-5be0c1d2e3", json={}), 404, "sweep-not-found")
+
+
+def test_a_changed_sweep_leaves_room_for_the_labels_of_its_job(stack: Stack) -> None:
+    labels = {f"j{n}": "" for n in range(3)}
+    job = {"kind": "train", "environment": "ant", "labels": labels}
+    here = stack.http.post("/sweeps", json={"job": job, "method": "grid", "parameters": {"seed": [1]}})
+    many = {"labels": {f"l{n}": "" for n in range(60)}}
+    document = problem(stack.http.patch(here.headers["Location"], json=many), 422, "invalid-request")
+    assert "labels together" in document["detail"]
 
 
 def test_a_deleted_sweep_leaves_its_jobs(stack: Stack, look: Callable[[], int]) -> None:

@@ -122,6 +122,7 @@ class TestSweeps:
         other = sweeps.add_sweep(sweep_of())
         database.change('UPDATE sweeps SET spec = \'{"method": "of tomorrow"}\' WHERE id = %s', sweep.id)
         assert [one.id for one in sweeps.active_sweeps()] == [other.id]
+        assert [one.id for one in sweeps.list_sweeps().sweeps] == [other.id]
 
 
 class TestTrials:

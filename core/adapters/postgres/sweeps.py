@@ -111,7 +111,7 @@ class SweepQueries(Session):
                 return connection.execute(listing.by_bytes(wanted, size, "id")).all()
 
             found, next_cursor = listing.own_first(newest, whose, cursor, limit)
-        return SweepPage([_sweep(row) for row in found], next_cursor)
+        return SweepPage(_readable(found), next_cursor)
 
     def sweeps_of(self, job_ids: Collection[str]) -> Mapping[str, str]:
         if not job_ids:
@@ -145,14 +145,7 @@ class SweepQueries(Session):
         if among is not None:
             wanted = wanted.where(sweeps.c.id.in_(among))
         with self._statements() as connection:
-            found = connection.execute(wanted).all()
-        readable: list[Sweep] = []
-        for row in found:
-            try:
-                readable.append(_sweep(row))
-            except ValueError as error:  # A newer version may have written it.
-                log.warning("sweep_unreadable", sweep=row.id, problem=str(error))
-        return readable
+            return _readable(connection.execute(wanted).all())
 
     def trials(self, sweep_ids: Collection[str]) -> Mapping[str, Sequence[Trial]]:
         if not sweep_ids:
@@ -275,6 +268,17 @@ def _sweep(row: Row[Any]) -> Sweep:
     return Sweep.model_validate(
         {**rows.columns(row), **from_json(row.results), "spec": SWEEP_SPEC.validate_json(row.spec)}
     )
+
+
+def _readable(found: Sequence[Row[Any]]) -> list[Sweep]:
+    """Those that can be read, in their order; the log names the others."""
+    readable: list[Sweep] = []
+    for row in found:
+        try:
+            readable.append(_sweep(row))
+        except ValueError as error:  # A newer version may have written it.
+            log.warning("sweep_unreadable", sweep=row.id, problem=str(error))
+    return readable
 
 
 def _trial_values(trial: Trial) -> rows.Values:
