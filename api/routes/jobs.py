@@ -197,8 +197,9 @@ def list_jobs(
 ) -> Response:
     """Jobs, newest first; with accounts your own, and then those of others in your projects.
 
-    With `sort`, all of them in the order of a column. Sorted lists are of the newest 100,000 jobs, and a job
-    whose value changes while you turn pages may be missing, or come twice.
+    With `sort`, all of them in the order of a column. Sorted lists are of the newest 100,000 jobs that
+    you may see, under `owner` and `project`, or of all trials of a sweep; other filters choose among these. A
+    job whose value changes while you turn pages may be missing, or come twice.
 
     Each has its newest ten attempts, without `details` and with messages of up to 1,000 characters, and its
     newest ten files of each role, without `metadata` of more than 1,000 bytes: `GET /jobs/{job_id}` has all.
@@ -224,10 +225,7 @@ def list_jobs(
 @router.get("/jobs/{job_id}", response_model=JobView, responses=refusals(JobNotFound, RecordsUnavailable))
 def read_job(job_id: JobId, service: ServiceDep) -> Response:
     """A job as it is now."""
-    job = service.store.find(job_id)
-    workers = _workers([job], service)
-    turns = None if workers is None else service.turns.now(workers)
-    return answer(job_view(job, workers, turns, service.store.sweeps_of([job.id]).get(job.id)))
+    return answer(_view(service.store.find(job_id), service))
 
 
 @router.patch(
@@ -250,7 +248,7 @@ def change_job(job_id: JobId, body: PatchBody, service: ServiceDep) -> Response:
 
     They change nothing of what it does. `GET /jobs/{job_id}/specification` and exports have the new ones.
     """
-    return answer(job_view(service.store.patch(job_id, parse(body, JOB_PATCH))))
+    return answer(_view(service.store.patch(job_id, parse(body, JOB_PATCH)), service))
 
 
 @router.post(
@@ -289,6 +287,13 @@ def naming_those_seen(principal: Principal, service: Service) -> Generator[None]
         needed = service.store.jobs_of(error.jobs)
         seen = [borrower for borrower, job in needed.items() if principal.sees(job.project)]
         raise JobInUse(error.job, seen, len(error.jobs) - len(seen)) from None
+
+
+def _view(job: Job | UnreadableJob, service: Service) -> JobView:
+    """With its sweep and, while it is queued, its turn."""
+    workers = _workers([job], service)
+    turns = None if workers is None else service.turns.now(workers)
+    return job_view(job, workers, turns, service.store.sweeps_of([job.id]).get(job.id))
 
 
 def _workers(jobs: Sequence[Job | UnreadableJob], service: Service) -> Sequence[WorkerInfo] | None:

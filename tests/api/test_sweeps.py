@@ -202,6 +202,7 @@ def test_a_sweep_is_changed_and_its_next_trials_have_its_labels(
     assert (answer.json()["name"], answer.json()["labels"]) == (None, {"team": "legs"})
     assert answer.json()["note"] == patch["note"] == answer.json()["spec"]["note"]
     first = stack.http.get("/jobs").json()["items"][0]
+    assert stack.http.patch(f"/jobs/{first['id']}", json={}).json()["sweep"] == here.rpartition("/")[2]
     stack.http.post(f"/jobs/{first['id']}/cancel")
     look()
     look()
