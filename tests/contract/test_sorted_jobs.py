@@ -158,12 +158,27 @@ def test_filters_and_owners_hold_for_sorted_lists(jobs: SweepStore, three: list[
     assert found(whose=Whose(owner="bob")) == [three[LATE].id]
 
 
-def test_only_the_newest_are_sorted(jobs: SweepStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_newest_of_those_that_one_may_see_are_sorted(
+    jobs: SweepStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("core.adapters.postgres.sorting._MOST", 2)
-    added = [queued_job(at, name=name) for at, name in enumerate("abc")]
+    added = [
+        queued_job(at, name=name).model_copy(update={"project": "b" if name in "de" else "a"})
+        for at, name in enumerate("abcde")
+    ]
     for job in added:
         jobs.add(job)
-    assert listed(jobs, sorted_by("name"), 1) == [added[1].id, added[2].id]
+    assert listed(jobs, sorted_by("name"), 1) == [added[3].id, added[4].id]
+    assert listed(jobs, sorted_by("name", whose=Whose(projects=("a",))), 1) == [added[1].id, added[2].id]
+
+
+def test_all_trials_of_a_sweep_are_sorted(jobs: SweepStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("core.adapters.postgres.sorting._MOST", 1)
+    sweep, added = jobs.add_sweep(sweep_of()), [queued_job(at, name=name) for at, name in enumerate("abc")]
+    for number, job in enumerate(added):
+        assert jobs.add_trial(sweep.id, trial_of(number, job=job.id), job)
+    jobs.add(queued_job(9))
+    assert listed(jobs, sorted_by("name", sweep=sweep.id), 2) == [job.id for job in added]
 
 
 @pytest.mark.parametrize(

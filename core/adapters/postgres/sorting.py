@@ -1,7 +1,8 @@
 """Lists of jobs that are sorted by a column.
 
 All jobs that match are looked at for each page, since a column may change with every report of a job, and an
-index on it would make each report slower. So only the newest hundred thousand are.
+index on it would make each report slower. So only the newest hundred thousand are, of those that one may see
+and whose owner and project are asked for; of a sweep, all trials.
 """
 
 import json
@@ -33,7 +34,7 @@ from core.errors import JobNotFound
 from core.jobs.job import check_job_id
 from core.jobs.sorting import Sort
 from core.jobs.status import JobStatus
-from core.jobs.store import FOLDED, JobQuery
+from core.jobs.store import FOLDED, NO_SWEEP, JobQuery
 
 _MOST = 100_000
 _PREFIX = "sorted-"
@@ -135,8 +136,11 @@ def _newest(column: str) -> ColumnElement[Any]:
 
 
 def _sorted(query: JobQuery, sort: Sort, at: float, place: _Place | None, limit: int) -> Any:
-    oldest = select(jobs.c.id).order_by(jobs.c.id.desc()).offset(_MOST).limit(1).scalar_subquery()
-    matches = [*listing.matches(query, jobs, listing.Part.ALL), jobs.c.id > func.coalesce(oldest, "")]
+    matches = listing.matches(query, jobs, listing.Part.ALL)
+    if query.sweep in (None, NO_SWEEP, FOLDED):
+        seen = select(jobs.c.id).where(*listing.of(jobs, query.whose, listing.Part.ALL))
+        oldest = seen.order_by(jobs.c.id.desc()).offset(_MOST).limit(1).scalar_subquery()
+        matches.append(jobs.c.id > func.coalesce(oldest, ""))
     key = _key(sort, at)
     among = select(jobs.c.id, key.label("sorted_by")).where(*matches)
     if query.sweep == FOLDED:
