@@ -59,8 +59,11 @@ _HEADS = f"""
     UNION ALL
     {_HEAD} WHERE id = :told AND queue IS NULL AND {_DUE}
     UNION
-    {_HEAD} WHERE id IN (SELECT yields_to FROM jobs WHERE yields_to IS NOT NULL)
-        AND queue = ANY(CAST(:queues AS text[])) AND {_DUE}
+    SELECT awaited.* FROM (
+        SELECT yields_to FROM jobs WHERE yields_to IS NOT NULL ORDER BY yields_to LIMIT 1000
+    ) AS drained CROSS JOIN LATERAL (
+        {_HEAD} WHERE id = drained.yields_to AND queue = ANY(CAST(:queues AS text[])) AND {_DUE} LIMIT 1
+    ) AS awaited
 """  # noqa: S608 # A constant.
 _RUNNING = f"""
     SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token, attempts.worker,
