@@ -226,9 +226,10 @@ def test_lists_say_whose_jobs_are_and_filter_by_it(lab: Lab, tab: Tab) -> None:
     ):
         owned(lab.stack, number, owner, project)
     page = sign_in(tab, lab.token("two").text)
-    jobs = page.get_by_role("list", name="Jobs").get_by_role("heading")
+    jobs = page.get_by_role("rowheader")
     expect(jobs).to_have_text(["of two in a", "of bob in b", "of ann in a"])  # One's own, then the newest.
-    expect(page.get_by_text("bob · b ·")).to_be_visible()
+    row = page.get_by_role("row", name="of bob in b")
+    expect(row.get_by_role("cell", name="bob", exact=True)).to_be_visible()
     page.get_by_label("Project").first.select_option("b")
     expect(jobs).to_have_text(["of bob in b"])
     assert flaws(page) == []
@@ -256,9 +257,10 @@ def test_a_user_of_several_projects_says_which(lab: Lab, tab: Tab) -> None:
 def test_without_accounts_nothing_of_them_is_shown(stack: Stack, tab: Tab) -> None:
     Attempt(stack, job(name="mine"))
     page = tab.open()
-    expect(page.get_by_role("heading", name="mine")).to_be_visible()
+    expect(page.get_by_role("rowheader", name="mine")).to_be_visible()
     for text in ("Owner", "Project"):
         expect(page.get_by_label(text)).to_have_count(0)
+        expect(page.get_by_role("columnheader", name=text)).to_have_count(0)
     expect(page.locator("a.who")).to_have_count(0)
     expect(page.get_by_text("default")).to_have_count(0)
     tab.open("#/submit")
