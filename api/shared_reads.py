@@ -107,7 +107,7 @@ class Turns:
         return self._found
 
     def _look(self, workers: Sequence[WorkerInfo]) -> None:
-        """Find it out anew; in an outage keep what was known, and do not try again at once."""
+        """Read it again; in an outage keep what was known, and do not try again at once."""
         began = time.monotonic()
         try:
             self._found = self._forecast(workers)

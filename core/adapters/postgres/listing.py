@@ -137,7 +137,7 @@ def of(table: FromClause, whose: Whose, part: Part) -> list[ColumnElement[bool]]
 
 
 def refusal() -> Rejected:
-    """Of a cursor."""
+    """The refusal of a cursor."""
     sentence = "The cursor is not one that this listing gave; leave it out to begin with the first page."
     return Rejected(sentence, [Problem("/cursor", sentence)])
 

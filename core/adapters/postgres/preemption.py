@@ -17,7 +17,7 @@ from core.adapters.postgres import workers
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.leases import in_words
 from core.adapters.postgres.rows import HELD, columns, find_job
-from core.adapters.postgres.turns import facts_of, facts_query, rank_of_queue, started_of
+from core.adapters.postgres.turns import facts_of, facts_query, rank_of_queue, running_query, started_of
 from core.errors import JobNotFound
 from core.jobs.job import Job
 from core.jobs.pools import pool_of
@@ -36,13 +36,7 @@ log = structlog.get_logger()
 
 # An arbitrary number of ours: one reconciler decides at a time. The rest as for a claim.
 _BEGIN = text("SELECT pg_try_advisory_xact_lock(7310582062), set_config('enable_sort', 'off', true)")
-_RUNNING = text("""
-    SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token, attempts.worker,
-        CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s,
-        jobs.kind, jobs.status, jobs.preemptible, jobs.yields_to
-    FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
-    WHERE jobs.status = ANY(CAST(:held AS text[]))
-""")
+_RUNNING = text(running_query("jobs.yields_to", "jobs.kind", "jobs.status", "jobs.preemptible"))
 # The oldest of each queue, project and user. If these were compared for equality alone, PostgreSQL might take
 # another index than `jobs_turns`, and read all that wait for each user.
 _OLDEST = """

@@ -65,17 +65,25 @@ _HEADS = f"""
         {_HEAD} WHERE id = drained.yields_to AND queue = ANY(CAST(:queues AS text[])) AND {_DUE} LIMIT 1
     ) AS awaited
 """  # noqa: S608 # A constant.
-_RUNNING = f"""
-    SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token, attempts.worker,
-        CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s,
-        (
-            SELECT id FROM jobs AS waiting WHERE id = jobs.yields_to AND status = 'queued' AND coalesce(
-                room_asked_at > clock_timestamp() - interval '{DRAINED_WITHIN_S} s', true
-            )
-        ) AS yields_to
-    FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
-    WHERE jobs.status = ANY(CAST(:held AS text[]))
-"""  # noqa: S608 # A constant.
+
+
+def running_query(yields_to: str, *more: str) -> str:
+    """The running attempts, as `started_of` reads them. more: further columns."""
+    columns = ", ".join([f"{yields_to} AS yields_to", *more])
+    return f"""
+        SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token,
+            attempts.worker, {columns},
+            CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s
+        FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
+        WHERE jobs.status = ANY(CAST(:held AS text[]))
+    """  # noqa: S608 # Constants.
+
+
+_RUNNING = running_query(f"""(
+    SELECT id FROM jobs AS waiting WHERE id = jobs.yields_to AND status = 'queued' AND coalesce(
+        room_asked_at > clock_timestamp() - interval '{DRAINED_WITHIN_S} s', true
+    )
+)""")  # noqa: S608 # A constant.
 # The oldest; what is beyond has no forecast.
 _WAITING = """
     SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs WHERE status = 'queued'

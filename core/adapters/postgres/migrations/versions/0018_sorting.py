@@ -15,7 +15,7 @@ _REFUSED = r"\\u(0000|d[89a-f])|[0-9.]e[+-]?[0-9]{4}|[0-9]{255}"
 
 
 def upgrade() -> None:
-    # One statement writes the table anew once.
+    # In one statement, PostgreSQL rewrites the table once.
     op.execute(f"ALTER TABLE jobs {', '.join(_added(name, paths) for name, paths in _PATHS.items())}")
     op.create_index("trials_jobs", "trials", ["sweep_id", "job_id"])
 
