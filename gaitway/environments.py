@@ -13,7 +13,6 @@ use_code()
 
 from core.environments.info import Slice, named
 from core.environments.options import Range, Weight
-from core.environments.patterns import PATTERNS, Pattern, Patterns
 from core.environments.plugins import Body
 from core.environments.terms.actions import ActionTerm
 from core.environments.terms.commands import (
@@ -45,6 +44,7 @@ from core.environments.terms.term import (
     Vector,
 )
 from core.environments.terms.terminations import TerminationTerm
+from core.patterns import PATTERNS, Pattern, Patterns
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step

@@ -11,11 +11,11 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from core.environments.patterns import PATTERNS
 from core.environments.plugins import LISTS, Plugin, installed, list_of
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.term import CostTerm, RewardTerm
+from core.patterns import PATTERNS
 
 _HEAD = ("| kind | what it is | fields |", "|---|---|---|")
 PAGE = Path(__file__).parents[2] / "docs" / "tasks.md"

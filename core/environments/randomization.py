@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
-from core.environments.patterns import PATTERNS, Pattern
+from core.patterns import PATTERNS, Pattern
 
 FieldName = Literal[
     "actuator_biasprm",

@@ -26,12 +26,12 @@ from core.algorithms.battery.spec import (
 from core.algorithms.trained_policy import TrainedPolicy
 from core.compilation import compiling
 from core.environments.environment import State, Wrapped
-from core.environments.patterns import matching_in_turn
 from core.environments.task import TaskEnv
 from core.environments.terms.actions import ActionTerm, JointAction
 from core.environments.terms.actuation import actuation
 from core.environments.terms.commands import VelocityCommand
 from core.environments.terms.task import TaskOptions
+from core.patterns import matching_in_turn
 from core.physics.engine import NOMINAL, ModelFields
 
 # Actions between two looks at whether the battery is to end.

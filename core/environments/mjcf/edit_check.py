@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 
 from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, free_name
 from core.environments.mjcf.unmatched import no_keyframe, unmatched, unmatched_by
-from core.environments.patterns import matching
 from core.environments.terms.inventory import Actuator, Inventory, Joint
 from core.errors import Problem
+from core.patterns import matching
 
 _DRIVEN = ("hinge", "slide")
 # rad or m: poses are written with fewer digits than ranges.

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from core.bounds import LONGEST_NAME, MOST_MEMBERS, Real
 from core.documents import Strict
-from core.environments.patterns import PATTERNS, Pattern, Patterns
+from core.patterns import PATTERNS, Pattern, Patterns
 
 # The keyframe of a pose.
 HOME = "home"

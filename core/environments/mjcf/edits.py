@@ -18,11 +18,11 @@ from core.environments.mjcf.edit_options import (
     gains,
 )
 from core.environments.mjcf.model import name_parts
-from core.environments.patterns import Patterns, matches, matching
 from core.environments.task_model import compiled
 from core.environments.terms.actuation import add_motor, position_servos
 from core.environments.terms.describe import near_world
 from core.errors import JobFailed
+from core.patterns import Patterns, matches, matching
 from core.physics.model import initial_qpos
 from core.reasons import Reason
 from core.rendering import floor, scene

@@ -9,9 +9,9 @@ import numpy as np
 
 from core.environments.mjcf.edit_options import HOME, ModelEdits
 from core.environments.mjcf.edits import clearance
-from core.environments.patterns import matching
 from core.environments.terms.actuation import position_servos
 from core.errors import Problem
+from core.patterns import matching
 from core.physics.model import initial_qpos
 
 # A second of a coarse timestep. Gains that are too large for a timestep blow up with each step, so that more

@@ -4,10 +4,10 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import islice
 
 from core.bounds import LONGEST_NAME
-from core.environments.patterns import matches
 from core.environments.terms.inventory import Inventory
 from core.errors import Problem
 from core.nearest import nearest
+from core.patterns import matches
 
 _MAX_NAMES = 20
 

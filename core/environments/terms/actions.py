@@ -7,9 +7,9 @@ from pydantic import Field
 
 from core.bounds import Real
 from core.documents import Strict
-from core.environments.patterns import PATTERNS, Patterns, PerName, matching
 from core.environments.terms.inventory import ActuatorKind, Inventory
 from core.environments.terms.term import DELAY, Array, Delay, Kinds, Term
+from core.patterns import PATTERNS, Patterns, PerName, matching
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step

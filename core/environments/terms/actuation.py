@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from core.environments.patterns import by_name
 from core.environments.terms.actions import EffortPart, JointAction, JointPart, PositionPart, VelocityPart
 from core.environments.terms.inventory import ActuatorKind
 from core.errors import JobFailed
+from core.patterns import by_name
 from core.reasons import Reason
 
 _ON_A_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)

@@ -7,8 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.environments.patterns import matching_in_turn
 from core.environments.terms.describe import moving_geoms, near_world, touchable
+from core.patterns import matching_in_turn
 
 # m: points of a sole are at most so much above its lowest one.
 _FLAT = 0.005

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from core.documents import Stored
-from core.environments.patterns import matching
+from core.patterns import matching
 from core.physics.availability import BodySize, EngineName
 
 # `core.environments.describe_bodies` makes it of the catalog's bodies.

@@ -11,11 +11,11 @@ from pydantic import Field
 
 from core.bounds import MOST_MEMBERS
 from core.environments.info import Slice, named
-from core.environments.patterns import PATTERNS, Pattern, Patterns, PerName
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.sensed import CLOCK, Sensed
 from core.environments.terms.term import Array, CostTerm, RewardTerm
+from core.patterns import PATTERNS, Pattern, Patterns, PerName
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step

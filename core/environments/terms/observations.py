@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field
 
 from core.environments.info import Slice, named
-from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms import array_slices
 from core.environments.terms.array_slices import CINERT, CVEL, MATRIX_AND_MASS
 from core.environments.terms.inventory import Inventory, ModelParts, Sensor
 from core.environments.terms.sensed import Sensed, as_measured
 from core.environments.terms.term import DELAY, Array, Delay, Names, OfBodies, OfBody, Term
+from core.patterns import PATTERNS, Patterns
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step

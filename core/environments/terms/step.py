@@ -10,7 +10,6 @@ import numpy as np
 
 from core.environments.body_position import free_joint_of, slides_of
 from core.environments.model_rows import object_names, rows_of
-from core.environments.patterns import by_name, matching
 from core.environments.randomization import FIELDS, FieldName
 from core.environments.terms.describe import touchable
 from core.environments.terms.feet import Foot
@@ -18,6 +17,7 @@ from core.environments.terms.foot_times import FootTimes
 from core.environments.terms.readings import ContactCount, ContactForce, ContactNetForce, is_added
 from core.environments.terms.term import Array
 from core.environments.terms.terrain import Ground
+from core.patterns import by_name, matching
 from mujoco_compiled import model_field
 
 # A command below this norm (m/s, rad/s; m to a point) is to stand still.

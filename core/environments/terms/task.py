@@ -9,7 +9,6 @@ from core.bounds import MOST_ITEMS, Real
 from core.documents import Strict
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces, in_order, named
 from core.environments.options import NoiseScale
-from core.environments.patterns import PATTERNS, Pattern, matching_in_turn
 from core.environments.terms.actions import ActionTerm, AnyAction, ControlAction, JointAction
 from core.environments.terms.commands import (
     AnyCommand,
@@ -33,6 +32,7 @@ from core.environments.terms.term import Memory, Name, Term
 from core.environments.terms.terminations import AnyTermination
 from core.environments.terms.terrain import Terrain
 from core.environments.terms.vocabulary import AnyCriticObservation, AnyObservation, AnyReward
+from core.patterns import PATTERNS, Pattern, matching_in_turn
 from core.physics.availability import EngineName, beyond
 
 MOST_FEET = 8

@@ -16,9 +16,9 @@ from pydantic_core import CoreSchema
 from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
 from core.environments.options import NotDescending, OpenRange, Weight
-from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms.inventory import ModelParts
 from core.environments.terms.readings import ContactCount, Reading
+from core.patterns import PATTERNS, Patterns
 from core.physics.availability import EngineName
 
 if TYPE_CHECKING:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field
 
 from core.environments.options import Range
-from core.environments.patterns import PATTERNS, Patterns
 from core.environments.terms.term import (
     Array,
     Kinds,
@@ -17,6 +16,7 @@ from core.environments.terms.term import (
     OfHeight,
     Term,
 )
+from core.patterns import PATTERNS, Patterns
 
 if TYPE_CHECKING:
     from core.environments.terms.step import ModelIndex, Step

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from core.environments.environment import Environment, State, Wrapped
 from core.environments.model_rows import object_names, rows_of
-from core.environments.patterns import matching
 from core.environments.randomization import FIELDS, FieldName, Randomization
 from core.errors import JobFailed
+from core.patterns import matching
 from core.physics.engine import CONSTANTS, NOMINAL, ModelFields
 from core.reasons import Reason
 from mujoco_compiled import model_field

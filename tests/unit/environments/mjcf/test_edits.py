@@ -9,9 +9,9 @@ from pydantic import ValidationError
 
 from core.environments.mjcf.edit_options import HOME, Fit, ModelEdits
 from core.environments.mjcf.edits import clearance, edit, edits_for_compiled
-from core.environments.patterns import matching
 from core.environments.terms.describe import inventory
 from core.errors import JobFailed
+from core.patterns import matching
 from mujoco_compiled import uncovered
 
 DOG = """
