@@ -39,6 +39,7 @@ BUDGETS: dict[str, float] = {
     "unit/adapters": 20,
     "unit/sweeps": 20,
     "unit/bench": 10,
+    "unit/clips": 20,
     "unit/storage": 10,
 }
 KEPT = Path(__file__).parents[1] / ".cache" / "durations.json"
