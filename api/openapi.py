@@ -20,7 +20,7 @@ from core.bounds import LARGEST_JOB_BYTES
 from core.environments.info import Device
 from core.jobs.job import ArtifactRole, JobPhase
 from core.jobs.quotas import QuotaKind
-from core.jobs.spec import JOB_SPEC
+from core.jobs.spec import JOB_SPEC, Priority
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerState
 from core.news.webhook import DeliveryStatus, WhichJobs
@@ -43,6 +43,7 @@ _VALUES: dict[str, Any] = {
     "JobStatus": JobStatus,
     "ModelStatus": ModelStatus,
     "PreviewStatus": Literal["ready", "drawing"],
+    "Priority": Priority,
     "QuotaKind": QuotaKind,
     "Reason": Reason,
     "Role": Role,

@@ -406,7 +406,7 @@ class QuotaExceeded(Conflict):
     """`detail` has the numbers, and says when there is room. facts: quota, limit, used."""
 
     code = "quota-exceeded"
-    title = "A quota is used up"
+    title = "A quota does not allow it"
 
 
 class AddressesWait(Unavailable):

@@ -16,6 +16,7 @@ from core.accounts.principal import NAME, Principal
 from core.documents import Strict
 from core.errors import ProjectNotFound, QuotaNotFound, RecordsUnavailable, Rejected, UserNotFound
 from core.jobs.quotas import QuotaKind, QuotaUse
+from core.jobs.spec import Priority
 from core.jobs.turns import Quota
 from gaitway.schema import QuotaUseView, QuotaView
 
@@ -37,7 +38,8 @@ class NewQuota(Strict):
     """What a user or a project may have. Without a number there is no limit; 0 is none at all.
 
     weight: of its share where turns are given; with 0 it comes after all others. running, queued: jobs at
-    once. gpu_hours: in seven days. bytes: of the files of jobs, and of models.
+    once. gpu_hours: in seven days. bytes: of the files of jobs, and of models. highest_priority: of the jobs
+    that they submit.
     """
 
     weight: float = Field(1.0, ge=0, le=1e6)
@@ -45,6 +47,7 @@ class NewQuota(Strict):
     queued: int | None = Field(None, ge=0, le=_LARGEST)
     gpu_hours: float | None = Field(None, ge=0, le=1e9)
     bytes: int | None = Field(None, ge=0, le=2**63 - 1)
+    highest_priority: Priority = "high"
 
 
 _NEW_QUOTA = TypeAdapter(NewQuota)
@@ -133,6 +136,7 @@ def _view(found: QuotaUse) -> QuotaView:
         queued=quota.queued,
         gpu_hours=quota.gpu_hours,
         bytes=quota.bytes,
+        highest_priority=quota.highest_priority,
         used=QuotaUseView(
             running=use.running,
             queued=use.queued,

@@ -15,7 +15,8 @@ from pydantic import ByteSize
 from core.accounts.principal import Ownership
 from core.accounts.store import Actor
 from core.errors import QuotaExceeded
-from core.jobs.spec import JobSpec
+from core.jobs.queue import PRIORITIES
+from core.jobs.spec import JobSpec, Priority
 from core.jobs.turns import Quota, Quotas
 from core.jobs.usage import HOUR, beginning_of_hour
 
@@ -93,6 +94,7 @@ def check_quotas(spec: JobSpec, ownership: Ownership, store: QuotaStore, *, with
     needs_gpu = spec.resources.kind != "cpu"
     parts: list[Part] = ["bytes", *(["gpu_hours"] if needs_gpu else []), *(["queued"] if with_queue else [])]
     for found in store.quota_uses(ownership, parts):
+        refuse(over_priority(found, spec.priority))
         if with_queue:
             refuse(over_queue(found))
         if needs_gpu:
@@ -110,6 +112,20 @@ def refuse(error: QuotaExceeded | None) -> None:
     """Raises it."""
     if error is not None:
         raise error
+
+
+def over_priority(found: QuotaUse, priority: Priority) -> QuotaExceeded | None:
+    """The refusal of a job of this priority; None if it may have it."""
+    highest = found.quota.highest_priority
+    if PRIORITIES.index(priority) >= PRIORITIES.index(highest):
+        return None
+    return QuotaExceeded(
+        f"The {found.whose} may submit jobs of the priority {highest} at most, and this one has {priority}: "
+        f"set it to {highest}.",
+        quota="highest_priority",
+        limit=highest,
+        used=priority,
+    )
 
 
 def over_queue(found: QuotaUse) -> QuotaExceeded | None:

@@ -19,6 +19,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heapreplace
 
+from core.jobs.spec import Priority
+
 # A project and a user in it; the user is empty without accounts.
 Who = tuple[str, str]
 # The least for which a running job counts.
@@ -89,7 +91,8 @@ class Pool:
 class Quota:
     """What an administrator allows a user, or a project. weight: of its share. running: jobs at once.
 
-    The others are checked when a job is submitted: queued jobs, GPU-hours of a week, bytes stored.
+    The others are checked when a job is submitted: queued jobs, GPU-hours of a week, bytes stored, and the
+    highest priority that it may have.
     """
 
     weight: float = 1.0
@@ -97,6 +100,7 @@ class Quota:
     queued: int | None = None
     gpu_hours: float | None = None
     bytes: int | None = None
+    highest_priority: Priority = "high"
 
 
 NO_QUOTA = Quota()

@@ -18,12 +18,13 @@ from core.errors import (
 )
 from core.jobs.job import new_job_id
 from core.jobs.patch import JobPatch, merged
+from core.jobs.queue import PRIORITIES
 from core.jobs.quotas import check_quotas
 from core.jobs.source import source_artifact
 from core.jobs.spec import JobSpec
 from core.jobs.store import Idempotency
 from core.jobs.submission import check_notify, check_readable_model, check_readable_source
-from core.sweeps.axes import axis_place, job_of
+from core.sweeps.axes import axis_place, ends, job_of
 from core.sweeps.checks import check_budget, check_labels, checked, in_the_job
 from core.sweeps.spec import Budget, Range, SweepSpec
 from core.sweeps.sweep import Sweep, SweepStatus, SweepStore
@@ -57,7 +58,7 @@ def submit_sweep(
     spec = checked(spec, store)
     if idempotency is not None and (known := store.remembered_sweep(idempotency)) is not None:
         return known
-    check_quotas(spec.job, ownership, store, with_queue=True)
+    check_quotas(_most_urgent(spec), ownership, store, with_queue=True)
     now = store.now()
     sweep = Sweep(
         id=new_job_id(now), spec=spec, created_at=now, owner=ownership.owner, project=ownership.project
@@ -68,6 +69,13 @@ def submit_sweep(
         raise _gone(error, spec, store) from None
     log.info("sweep_submitted", sweep_id=stored.id)
     return stored
+
+
+def _most_urgent(spec: SweepSpec) -> JobSpec:
+    """The job, with the highest priority that a trial may have."""
+    axis = spec.parameters.get("priority", [spec.job.priority])
+    highest = next((priority for priority in PRIORITIES if priority in ends(axis)), spec.job.priority)
+    return spec.job.model_copy(update={"priority": highest})
 
 
 def _check_readable(spec: SweepSpec, readable: Collection[str] | None, store: SweepStore) -> None:

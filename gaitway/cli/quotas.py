@@ -42,6 +42,9 @@ def set_quota(  # noqa: PLR0913 # A command line's options.
     stored: Annotated[
         str | None, typer.Option("--bytes", metavar="SIZE", help="Of files and models, such as 200GB.")
     ] = None,
+    highest_priority: Annotated[
+        str, typer.Option(metavar="low|normal|high", help="Of the jobs that they submit.")
+    ] = "high",
     as_json: AsJson = False,
 ) -> None:
     """Set the whole quota of a user or a project, for an admin: what you leave out has no limit."""
@@ -55,6 +58,7 @@ def set_quota(  # noqa: PLR0913 # A command line's options.
         queued=queued,
         gpu_hours=gpu_hours,
         bytes=_bytes(stored),
+        highest_priority=highest_priority,
     )
     if as_json:
         print_json(made)
@@ -82,6 +86,7 @@ def _print(found: Sequence[QuotaView]) -> None:
         table.add_column(column, overflow="fold")
     for column in ("WEIGHT", "RUNNING", "QUEUED", "GPU HOURS", "BYTES"):
         table.add_column(column, justify="right")
+    table.add_column("HIGHEST PRIORITY")
     for one in found:
         table.add_row(*map(Text, _row(one)))
     Console().print(table)
@@ -97,6 +102,7 @@ def _row(one: QuotaView) -> tuple[str, ...]:
         _of(f"{used.queued:,}", None if one.queued is None else f"{one.queued:,}"),
         _of(f"{used.gpu_hours:,.1f}", None if one.gpu_hours is None else f"{one.gpu_hours:,g}"),
         _of(size(used.bytes), None if one.bytes is None else size(one.bytes)),
+        one.highest_priority,
     )
 
 

@@ -98,14 +98,16 @@ class Accounts(Connection):
         queued: int | None = None,
         gpu_hours: float | None = None,
         bytes: int | None = None,
+        highest_priority: str = "high",
     ) -> QuotaView:
         """Set the whole quota of a `user` or a `project`: what is None has no limit. For an admin.
 
         weight: of its share where turns are given. running, queued: jobs at once. gpu_hours: in seven days.
+        highest_priority: of the jobs that they submit: `low`, `normal` or `high`.
         Raises Rejected, NotFound.
         """
         document = {"weight": weight, "running": running, "queued": queued}
-        document |= {"gpu_hours": gpu_hours, "bytes": bytes}
+        document |= {"gpu_hours": gpu_hours, "bytes": bytes, "highest_priority": highest_priority}
         answer = self._request("PUT", path_of("quotas", kind, name), json=document)
         return QuotaView.model_validate_json(answer.content)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import Field
 
-from gaitway.schema.base import QuotaKind, Role, TokenScope, View
+from gaitway.schema.base import Priority, QuotaKind, Role, TokenScope, View
 
 
 class WhoView(View):
@@ -99,7 +99,7 @@ class QuotaView(View):
     """What a user or a project may have: kind is `user` or `project`; null: as much as they like.
 
     weight: of its share where turns are given. running, queued: jobs at once. gpu_hours: in seven days.
-    bytes: of the files of jobs, and of models.
+    bytes: of the files of jobs, and of models. highest_priority: of the jobs that they submit.
     """
 
     kind: QuotaKind
@@ -109,6 +109,7 @@ class QuotaView(View):
     queued: int | None = None
     gpu_hours: float | None = None
     bytes: int | None = None
+    highest_priority: Priority = "high"
     used: QuotaUseView = QuotaUseView()
 
 

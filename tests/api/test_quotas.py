@@ -31,7 +31,7 @@ def lab(server: tuple[FastAPI, int], stack: Stack) -> Iterator[Lab]:
         yield lab
 
 
-def limit(stack: Stack, **quota: float) -> Any:
+def limit(stack: Stack, **quota: float | str) -> Any:
     answer = stack.http.put(OF_DEFAULT, json=quota)
     assert answer.status_code == 200, answer.text
     return answer.json()
@@ -43,7 +43,7 @@ def test_a_quota_is_set_whole_shown_with_what_is_used_and_removed(stack: Stack) 
     made = limit(stack, queued=3, weight=2.5)
     assert made == {
         **{"kind": "project", "name": "default", "weight": 2.5, "queued": 3},
-        **{"running": None, "gpu_hours": None, "bytes": None},
+        **{"running": None, "gpu_hours": None, "bytes": None, "highest_priority": "high"},
         "used": {"running": 0, "queued": 1, "gpu_hours": 0.0, "bytes": 0},
     }
     assert stack.http.get("/quotas").json()["items"] == [made]
@@ -62,6 +62,7 @@ def test_a_quota_is_set_whole_shown_with_what_is_used_and_removed(stack: Stack) 
         ('{"running": 1.5}', "/running", "integer"),
         ('{"gpu_hours": -0.1}', "/gpu_hours", "`gpu_hours`: must be greater than or equal to 0"),
         ('{"bytes": "40GB"}', "/bytes", "integer"),
+        ('{"highest_priority": "urgent"}', "/highest_priority", "'high', 'normal' or 'low'"),
         ('{"gpu-hours": 1}', "/gpu-hours", "gpu_hours"),
     ],
 )
@@ -130,6 +131,45 @@ def test_a_quota_of_zero_refuses_jobs_their_check_and_sweeps(
         assert document["detail"].startswith(words)
         assert (document["quota"], document["limit"]) == (*quota, 0)
     assert stack.is_empty()
+
+
+def test_a_priority_above_that_of_the_quota_is_refused_in_jobs_their_check_and_sweeps(stack: Stack) -> None:
+    limit(stack, highest_priority="normal")
+    high = {**ANT, "priority": "high"}
+    of_high = {**SWEEP, "job": high}
+    by_priority = {**SWEEP, "parameters": {"priority": ["low", "high"]}}
+    sent = (("/jobs", high), ("/jobs/check", high), ("/sweeps", of_high), ("/sweeps", by_priority))
+    for path, body in sent:
+        document = problem(stack.http.post(path, json=body), 409, "quota-exceeded")
+        assert document["detail"] == (
+            "The project default may submit jobs of the priority normal at most, and this one has high: "
+            "set it to normal."
+        )
+        assert (document["quota"], document["limit"], document["used"]) == (
+            "highest_priority",
+            "normal",
+            "high",
+        )
+    assert stack.is_empty()
+    for priority in ("normal", "low"):
+        assert stack.http.post("/jobs", json={**ANT, "priority": priority}).status_code == 202
+    varied = {**of_high, "parameters": {"priority": ["low", "normal"]}}
+    assert stack.http.post("/sweeps", json=varied).status_code == 202
+
+
+def test_the_lower_of_a_users_and_their_projects_highest_priority_holds(lab: Lab) -> None:
+    lab.of("root").put("/quotas/user/ann", json={"highest_priority": "low"})
+    lab.of("root").put("/quotas/project/a", json={"highest_priority": "normal"})
+    answers = {
+        (who, priority): lab.of(who).post("/jobs", json={**ANT, "priority": priority}).status_code
+        for who in ("ann", "amy")
+        for priority in ("low", "normal", "high")
+    }
+    assert {asked for asked, status in answers.items() if status == 202} == {
+        ("ann", "low"),
+        ("amy", "low"),
+        ("amy", "normal"),
+    }
 
 
 def test_jobs_that_ask_for_a_cpu_need_no_gpu_hours(stack: Stack) -> None:

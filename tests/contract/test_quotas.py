@@ -24,7 +24,7 @@ def of(job: Job, owner: str | None = "ann", project: str = "gaits") -> Job:
     return job.model_copy(update={"owner": owner, "project": project})
 
 
-def limit(jobs: JobStore, kind: str = "project", name: str = "gaits", **quota: float | None) -> None:
+def limit(jobs: JobStore, kind: str = "project", name: str = "gaits", **quota: float | str | None) -> None:
     jobs.set_quota(kind, name, Quota(**quota), Actor())  # type: ignore[arg-type]
 
 
@@ -42,16 +42,19 @@ def ran(jobs: JobStore, job: Job, ago: timedelta, worker: str = "node1:gpu:0,1:a
 
 def test_a_quota_is_set_in_place_of_the_one_before_listed_and_removed(job_store: PostgresJobStore) -> None:
     limit(job_store, queued=3, weight=2.0)
-    limit(job_store, queued=0)
-    assert job_store.quotas().of("project", "gaits") == Quota(queued=0)
-    assert used(job_store).quota == Quota(queued=0)
+    limit(job_store, queued=0, highest_priority="low")
+    assert job_store.quotas().of("project", "gaits") == Quota(queued=0, highest_priority="low")
+    assert used(job_store).quota == Quota(queued=0, highest_priority="low")
     job_store.remove_quota("project", "gaits", Actor())
     assert job_store.quota_uses() == []
     with pytest.raises(QuotaNotFound, match="for the project gaits"):
         job_store.remove_quota("project", "gaits", Actor())
     entries = job_store.audit(action="quota.").entries
     assert [entry.action for entry in entries] == ["quota.removed", "quota.set", "quota.set"]
-    assert (entries[1].object, entries[1].details) == ("project gaits", {"weight": 1.0, "queued": 0})
+    assert (entries[1].object, entries[1].details) == (
+        "project gaits",
+        {"weight": 1.0, "queued": 0, "highest_priority": "low"},
+    )
 
 
 @pytest.mark.parametrize(("kind", "name"), [("project", "gaits"), ("user", "ann")])

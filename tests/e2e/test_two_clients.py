@@ -279,10 +279,12 @@ def _retention(client: Either) -> None:
 
 
 def _quotas(client: Either) -> None:
-    made = client.set_quota("project", "default", queued=0, gpu_hours=40.0)
-    assert (made.kind, made.weight, made.bytes) == ("project", 1.0, None)
+    made = client.set_quota("project", "default", queued=0, gpu_hours=40.0, highest_priority="low")
+    assert (made.kind, made.weight, made.highest_priority) == ("project", 1.0, "low")
     with pytest.raises(Conflict, match="its quota of queued jobs is 0"):
-        client.submit(environment="ant")
+        client.submit(environment="ant", priority="low")
+    with pytest.raises(Conflict, match="of the priority low at most, and this one has high"):
+        client.submit(environment="ant", priority="high")
     assert [(found.name, found.queued) for found in client.quotas()] == [("default", 0)]
     client.remove_quota("project", "default")
     with pytest.raises(NotFound, match="No quota is set for the project default"):

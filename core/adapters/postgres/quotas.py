@@ -100,7 +100,14 @@ def _who(whose: Ownership) -> dict[str, Any]:
 
 
 def _quota(row: Mapping[str, Any]) -> Quota:
-    return Quota(row["weight"], row["running"], row["queued"], row["gpu_hours"], row["bytes"])
+    return Quota(
+        row["weight"],
+        row["running"],
+        row["queued"],
+        row["gpu_hours"],
+        row["bytes"],
+        row["highest_priority"],
+    )
 
 
 class _Sums:

@@ -367,6 +367,8 @@ quotas = Table(
     Column("queued", Integer),
     Column("gpu_hours", Double),
     Column("bytes", BigInteger),
+    # Of what they submit.
+    Column("highest_priority", Text, nullable=False, server_default="high"),
 )
 
 pulse = Table(

@@ -10,6 +10,7 @@ from playwright.sync_api import Page, expect
 
 from api import authentication
 from core.accounts.principal import TokenScope
+from core.jobs.turns import Quota
 from tests.api.accounts import NOBODY, Lab, opened
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.identity_provider import provided
@@ -201,15 +202,12 @@ def test_an_admin_sets_changes_and_removes_quotas_and_all_see_theirs_in_the_usag
     expect(form.get_by_label("Stored")).to_have_value("500")
     form.get_by_label("Waiting").fill("")
     form.get_by_label("Weight").fill("2")
+    form.get_by_label("Highest priority").select_option("normal")
     form.get_by_role("button", name="Set it").click()
     expect(row).not_to_contain_text("of 200")
     set_now = lab.stack.store.quotas().of("project", "a")
-    assert (set_now.weight, set_now.queued, set_now.gpu_hours, set_now.bytes) == (
-        2.0,
-        None,
-        40.0,
-        500 * 10**9,
-    )
+    assert set_now == Quota(2.0, gpu_hours=40.0, bytes=500 * 10**9, highest_priority="normal")
+    expect(row.get_by_role("cell", name="normal")).to_be_visible()
     page.get_by_role("link", name="Usage").click()
     expect(page.get_by_role("region", name="Quotas").get_by_text("0 of 40")).to_be_visible()
     assert flaws(page) == []

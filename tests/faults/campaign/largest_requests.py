@@ -465,7 +465,8 @@ def _of_webhook(method: str, part: str) -> Forms:
 
 
 def _quotas(service: Service, route: str) -> Iterator[Form]:
-    largest = {"weight": 1e6, "running": 2**31 - 1, "queued": 2**31 - 1, "gpu_hours": 1e9, "bytes": 2**63 - 1}
+    limits = {"weight": 1e6, "running": 2**31 - 1, "queued": 2**31 - 1, "gpu_hours": 1e9, "bytes": 2**63 - 1}
+    largest = {**limits, "highest_priority": "normal"}
     headers = {"Content-Type": _JSON}
     yield Form(route, "", "PUT", "/quotas/project/default", (200,), _json(largest), headers)
 

@@ -8,7 +8,8 @@ import { Confirm, Failure, Loading } from "../../parts/elements.js";
 import { Quotas as Table } from "../../parts/quotas.js";
 
 const FIELDS = { weight: "Weight", running: "Running", queued: "Waiting", gpu_hours: "GPU hours in 7 days", gigabytes: "Stored, in GB" };
-const EMPTY = { weight: "1", running: "", queued: "", gpu_hours: "", gigabytes: "" };
+const PRIORITIES = ["high", "normal", "low"];
+const EMPTY = { weight: "1", running: "", queued: "", gpu_hours: "", gigabytes: "", highest_priority: "high" };
 const load = (signal) => Promise.all(["/quotas", "/projects", "/users"].map((path) => get(path, {}, { signal })));
 
 export function Quotas() {
@@ -54,6 +55,9 @@ function Form({ draft, setDraft, parties, choose, onSet }) {
         ${Object.entries(parties).map(([title, names]) => html`<optgroup key=${title} label=${title}>${names.map((whose) => html`<option key=${whose} value=${whose}>${whose}</option>`)}</optgroup>`)}
       </select></label>
       ${Object.entries(FIELDS).map(([name, title]) => html`<label key=${name}>${title} <input inputmode="decimal" size="8" value=${draft[name]} onInput=${set(name)} /></label>`)}
+      <label>Highest priority <select value=${draft.highest_priority} onChange=${set("highest_priority")}>
+        ${PRIORITIES.map((priority) => html`<option key=${priority} value=${priority}>${priority}</option>`)}
+      </select></label>
       <button class="main" disabled=${isBusy || !draft.whose}>Set it</button>
     </div>
     ${problem && html`<p class="error" role="alert">${problem.message}</p>`}
@@ -66,11 +70,11 @@ const pathOf = (whose) => `/quotas/${whose.split(" ").map(encodeURIComponent).jo
 function textOf(quota) {
   if (!quota) return EMPTY;
   const shown = { ...quota, gigabytes: quota.bytes === null ? null : quota.bytes / 1e9 };
-  return Object.fromEntries(Object.keys(FIELDS).map((name) => [name, shown[name] === null ? "" : String(shown[name])]));
+  return Object.fromEntries(Object.keys(EMPTY).map((name) => [name, shown[name] === null ? "" : String(shown[name])]));
 }
 
 /** What is no number goes as text, which the service refuses with the field's name. */
-function documentOf({ weight, running, queued, gpu_hours, gigabytes }) {
+function documentOf({ weight, running, queued, gpu_hours, gigabytes, highest_priority }) {
   const number = (text) => (Number.isFinite(Number(text)) ? Number(text) : text);
   const limit = (text) => (text.trim() ? number(text) : null);
   const stored = limit(gigabytes);
@@ -80,5 +84,6 @@ function documentOf({ weight, running, queued, gpu_hours, gigabytes }) {
     queued: limit(queued),
     gpu_hours: limit(gpu_hours),
     bytes: typeof stored === "number" ? Math.round(stored * 1e9) : stored,
+    highest_priority,
   };
 }
