@@ -93,6 +93,13 @@ class Noted(Stored):
     text: str
 
 
+class MemoryPeak(Stored):
+    """The most that the run has had of each GPU's memory, in bytes."""
+
+    type: Literal["memory"] = "memory"
+    bytes: int
+
+
 class Failed(Stored):
     """The job cannot succeed, and why."""
 
@@ -109,7 +116,17 @@ class Finished(Stored):
 
 
 Message = Annotated[
-    Hello | Started | PhaseBegan | PhaseEnded | Advanced | Measured | FileReady | Noted | Failed | Finished,
+    Hello
+    | Started
+    | PhaseBegan
+    | PhaseEnded
+    | Advanced
+    | Measured
+    | MemoryPeak
+    | FileReady
+    | Noted
+    | Failed
+    | Finished,
     Field(discriminator="type"),
 ]
 MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)

@@ -94,6 +94,8 @@ class ExportedAttempt(Stored):
     worker: Name
     device: Name | None = None
     engine: Name | None = None
+    peak_bytes: Size | None = None
+    gpu_part: Annotated[float, Field(ge=0, le=1)] | None = None
     details: Facts = {}
     started_at: Moment
     ended_at: Moment | None = None

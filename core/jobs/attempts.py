@@ -2,13 +2,16 @@
 
 import secrets
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from core.errors import IllegalTransition, LeaseLost, StaleJob
+from core.errors import IllegalTransition, LeaseLost, Rejected, StaleJob
 from core.jobs.job import Artifact, Job
 from core.jobs.pools import GIVEN, Offer
+from core.jobs.sharing import alike
+from core.jobs.spec import TrainSpec
 from core.jobs.status import LOSSES, MAX_ATTEMPTS, RETRIED, JobStatus
 from core.jobs.store import JobStore
 from core.reasons import Reason
@@ -46,6 +49,14 @@ class Claim:
             return job.running(**said) if job.status == JobStatus.STARTING else job.noted(**said)
 
         return self._change(change)
+
+    def note_peak(self, num_bytes: int) -> Job:
+        """Record the most that the attempt has had of a GPU's memory, also for trainings like it."""
+        job = self._change(lambda job: job.noted(peak_bytes=num_bytes))
+        if isinstance(job.spec, TrainSpec):
+            with suppress(Rejected):  # A version with other rules accepted it.
+                self.store.keep_peak(alike(job.spec), num_bytes)
+        return job
 
     def publish(self, artifacts: tuple[Artifact, ...], keep_checkpoints: int) -> tuple[Job, list[str]]:
         """Record these files, already in the object store; drop all but the newest `keep_checkpoints`.

@@ -88,13 +88,19 @@ class Progress(Stored):
 
 
 class Attempt(Stored):
-    """One attempt at a job by one worker. token: its writes must carry this."""
+    """One attempt at a job by one worker. token: its writes must carry this.
+
+    peak_bytes: the most that it has had of a GPU's memory, where that was measured. gpu_part: the part of the
+    GPU's memory that it may take, where it shares the GPU.
+    """
 
     number: int
     token: str
     worker: str
     device: str | None = None
     engine: str | None = None
+    peak_bytes: int | None = None
+    gpu_part: float | None = None
     details: dict[str, Any] = Field(default_factory=dict)
     started_at: datetime
     ended_at: datetime | None = None

@@ -387,6 +387,10 @@ class JobStore(ModelStore, NewsStore, QuotaStore, RetentionStore, UsageStore, Wo
         """What a forecast of the waiting jobs needs: reads all that wait, so ask now and then."""
         ...
 
+    def keep_peak(self, alike: str, num_bytes: int) -> None:
+        """Remember the most that a training has had of a GPU's memory, for those like it."""
+        ...
+
     def undispatched(self) -> Sequence[Dispatch]:
         """Dispatches that were committed, may begin, and were not handed over to RQ yet; oldest first."""
         ...

@@ -1,7 +1,7 @@
 """`gaitway jobs`, `show`: jobs as they stand; `workers`; `slots`: how many are wanted."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, cast
 
@@ -222,7 +222,7 @@ def _parts(job: JobView) -> list[str]:
     for attempt in job.attempts:
         end = f"{attempt.reason}: {attempt.message}" if attempt.reason else "still running"
         parts = (attempt.worker, _given(attempt), attempt.device, attempt.engine, _allocation(attempt))
-        where = ", ".join(part for part in parts if part)
+        where = ", ".join(part for part in (*parts, *_memory(attempt)) if part)
         lines.append(f"  attempt {attempt.number} on {where}: {end}")
     lines += [f"  {a.name}  {a.size:,} bytes  {a.media_type}" for a in job.artifacts]
     return lines
@@ -232,6 +232,14 @@ def _given(attempt: AttemptView) -> str | None:
     """The GPUs that it was given of a pool, if there are several."""
     gpus = str(attempt.details.get("gpus", ""))
     return gpus if "," in gpus else None
+
+
+def _memory(attempt: AttemptView) -> Iterator[str]:
+    """What it had of a GPU's memory."""
+    if attempt.gpu_part is not None:
+        yield f"with {attempt.gpu_part:.0%} of a GPU's memory"
+    if attempt.peak_bytes is not None:
+        yield f"{attempt.peak_bytes / 1e9:.2g} GB of memory at most"
 
 
 def _allocation(attempt: AttemptView) -> str | None:

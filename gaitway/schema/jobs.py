@@ -40,12 +40,18 @@ class ProgressView(View):
 
 
 class AttemptView(View):
-    """One attempt at the job by one worker. details: facts about its machine and its settings."""
+    """One attempt at the job by one worker. details: facts about its machine and its settings.
+
+    peak_bytes: the most that it has had of a GPU's memory; null where that was not measured, as on a CPU.
+    gpu_part: the part of the GPU's memory that it may take, where it shares the GPU; null where it has all.
+    """
 
     number: int
     worker: str = ""
     device: str | None = None
     engine: str | None = None
+    peak_bytes: int | None = None
+    gpu_part: float | None = None
     details: dict[str, Any] = {}
     started_at: datetime
     ended_at: datetime | None = None

@@ -133,6 +133,7 @@ def fill(engine: Engine) -> Job:
     jobs.set_quota("user", "ann", Quota(running=1), Actor())
     jobs.set_retention("default", RetentionRules(checkpoints=1), Actor())
     jobs.add_tallies([Tally("series", ("label",), (1, 2), 3.0)])
+    jobs.keep_peak("ant/ppo", 1)
     _tell_a_webhook(jobs)
     jobs.save(held(jobs, queued_job(3)).ended(JobStatus.FAILED, Reason.DIVERGED, "", NOW))
     return published

@@ -33,6 +33,7 @@ from worker.protocol import (
     Finished,
     Hello,
     Measured,
+    MemoryPeak,
     Message,
     Noted,
     PhaseBegan,
@@ -189,6 +190,8 @@ class Outbox:
         match item.what:
             case Started(device=device, engine=engine, details=details):
                 self._claim.start(device=device, engine=engine, details=details)
+            case MemoryPeak(bytes=num_bytes):
+                self._claim.note_peak(num_bytes)
             case FileReady() as message:
                 self._publish(message, item.time, write_id)
             case Failed() | Finished():  # The supervisor judges these.

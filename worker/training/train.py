@@ -31,7 +31,7 @@ from core.jobs.job import JobPhase
 from core.jobs.spec import TrainSpec
 from core.reasons import Reason
 from worker.host.memory import allowed_bytes
-from worker.protocol import Advanced, Measured, Noted, PhaseBegan, PhaseEnded, Task
+from worker.protocol import Advanced, Measured, MemoryPeak, Noted, PhaseBegan, PhaseEnded, Task
 from worker.stopping import StopRequest
 from worker.training.battery import BatteryWriter
 from worker.training.built_environment import BuiltEnvironment
@@ -44,6 +44,9 @@ from worker.training.policy_videos import PolicyVideos
 
 # A tenth of the budget lies between checkpoints where the job does not say.
 _CHECKPOINTS = 10
+
+# A peak is told of again when it has grown by this factor.
+_NEWS_OF_PEAK = 1.01
 
 # Sentences for the job's events. Each is sent the first time that its metric is above 0.
 _WARNINGS = {
@@ -228,6 +231,7 @@ class Report:
     _started: tuple[float, int] = (0.0, 0)
     # Steps a second as the run has measured them, until there is a longer time to judge by.
     _rate: float | None = None
+    _peak_bytes: int = 0
 
     def enter(self, phase: JobPhase) -> None:
         """Tell that the process does this from now on."""
@@ -244,11 +248,13 @@ class Report:
                 self._warn(step, metrics)
                 self._rate = metrics.get("training/sps", self._rate)
                 self._measured(step, metrics, total)
+                self._note_peak()
             case Evaluating():
                 self.enter("evaluating")
             case Evaluated(step=step, metrics=metrics):
                 self.enter("training")
                 self._measured(step, metrics, self.run.total)
+                self._note_peak()
             case CheckpointReady():
                 self.keep_checkpoint()
             case BodyLost():
@@ -271,6 +277,13 @@ class Report:
         if is_due:
             self.keep_checkpoint()
         return is_due
+
+    def _note_peak(self) -> None:
+        """Tell of the most memory so far, if that is more than what was told by a hundredth."""
+        peak = _device_memory("peak_bytes_in_use") or 0
+        if peak > _NEWS_OF_PEAK * self._peak_bytes:
+            self._peak_bytes = peak
+            self.events.send(MemoryPeak(bytes=peak))
 
     def _warn(self, step: int, metrics: Mapping[str, float]) -> None:
         """Warn once per kind. How often it happens is a metric, except for numbers that are not finite."""
@@ -297,13 +310,16 @@ class Report:
 
 def check_memory(least: MemoryNeed, device: Device) -> None:
     """Raises JobFailed if the device, or for a CPU its machine, has less memory than the run needs."""
-    limit = allowed_bytes(None) if device == "cpu" else _device_bytes()
+    limit = allowed_bytes(None) if device == "cpu" else _device_memory("bytes_limit")
     if limit is not None and least.bytes > limit:
         # Not `out_of_host_memory`, which another process may have caused and which is retried.
         raise JobFailed(Reason.OUT_OF_MEMORY, least.does_not_fit(limit, f"this worker's {device.upper()}"))
 
 
-def _device_bytes() -> int | None:
-    """The memory of the first GPU that XLA may use, in bytes; None if XLA does not say."""
+def _device_memory(name: str) -> int | None:
+    """What XLA counts of the first GPU's memory, in bytes; None if it does not, as on a CPU.
+
+    name: `bytes_limit`, what it may use; or `peak_bytes_in_use`.
+    """
     counted = jax.local_devices()[0].memory_stats()
-    return counted.get("bytes_limit") if counted else None
+    return counted.get(name) if counted else None

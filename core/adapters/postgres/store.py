@@ -11,6 +11,7 @@ from core.adapters.postgres.jobs import JobQueries
 from core.adapters.postgres.leases import LeaseQueries
 from core.adapters.postgres.models import ModelQueries
 from core.adapters.postgres.news import NewsQueries, forget_old, forget_old_secrets
+from core.adapters.postgres.peaks import PeakQueries, forget_old_peaks
 from core.adapters.postgres.preemption import PreemptionQueries
 from core.adapters.postgres.quotas import QuotaQueries
 from core.adapters.postgres.retention import RetentionQueries
@@ -31,6 +32,7 @@ class PostgresJobStore(
     FeedQueries,
     ModelQueries,
     NewsQueries,
+    PeakQueries,
     PreemptionQueries,
     QuotaQueries,
     RetentionQueries,
@@ -64,6 +66,7 @@ class PostgresJobStore(
             connection.execute(delete(idempotency_keys).where(idempotency_keys.c.forgotten_at <= NOW))
             connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
             fold(connection)
+            forget_old_peaks(connection)
             forget_old_secrets(connection)
         # A transaction each: there may be more than one statement has time for.
         is_more = True

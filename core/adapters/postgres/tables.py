@@ -14,6 +14,7 @@ idempotency_keys   the submissions of the last day that came with a key
 sweeps      one row per sweep; `key_hash` is that of the idempotency key that its submission came with
 trials      one row per trial of a sweep: the primary key lets each number begin once
 usage       the ledger: what attempts took, by hour, project, user and device (`core.jobs.usage`)
+peaks       the most that trainings had of a GPU's memory, by what they have in common (`core.jobs.sharing`)
 tallies     what workers count and time, summed over all of them (`core.jobs.tallies`)
 shares      what users have used of late: sums of one moment, which are halved by the half-life in `pulse`
 quotas      what users and projects may have (`core.jobs.quotas`)
@@ -127,6 +128,9 @@ jobs = Table(
     _moment("room_asked_at"),
     Column("owner", Text),
     Column("project", Text, nullable=False, server_default="default"),
+    # Of a job that shares a GPU: the memory that it asked for, or else what it has in common with such jobs.
+    Column("gpu_bytes", BigInteger),
+    Column("alike", Text),
     # Of all its files, so that sums over many jobs read none of them.
     Column("bytes", BigInteger, nullable=False, server_default="0"),
     # Free space in each page: a renewed lease then touches no index.
@@ -177,6 +181,10 @@ attempts = Table(
     Column("worker", Text, nullable=False),
     Column("device", Text),
     Column("engine", Text),
+    # The most that it has had of a GPU's memory.
+    Column("peak_bytes", BigInteger),
+    # The part of the GPU's memory that it may take, where it shares the GPU.
+    Column("gpu_part", Double),
     Column("details", Text, nullable=False, server_default="{}"),
     _moment("started_at", nullable=False),
     _moment("ended_at"),
@@ -334,6 +342,14 @@ usage = Table(
     Column("attempts", Integer, nullable=False),
     Column("seconds", Double, nullable=False),
     Column("gpu_seconds", Double, nullable=False),
+)
+
+peaks = Table(
+    "peaks",
+    metadata,
+    Column("alike", Text, primary_key=True),
+    Column("bytes", BigInteger, nullable=False),
+    _moment("measured_at", nullable=False),
 )
 
 tallies = Table(

@@ -28,6 +28,7 @@ RIGHTS = {
     "pulse": "SELECT",
     "news": "INSERT",
     "usage": "SELECT, INSERT, UPDATE",
+    "peaks": "SELECT, INSERT, UPDATE",
     "shares": "SELECT, INSERT, UPDATE",
     "quotas": "SELECT",
 }

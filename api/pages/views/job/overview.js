@@ -1,13 +1,14 @@
 /** The job at a glance: video, return, reward by term, costs, attempts. */
 
 import { get } from "../../lib/api.js";
-import { count, duration, moment, seconds, value } from "../../lib/format.js";
+import { bytes, count, duration, moment, seconds, value } from "../../lib/format.js";
 import { across, smooth, useCurves } from "../../lib/curves.js";
 import { html, useState } from "../../lib/html.js";
 import { allocated, newest, RETURNS, seedsOf } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
 import { href } from "../../lib/route.js";
 import { metricOfSeed, seedLines } from "../../lib/seeds.js";
+import { percent } from "../../parts/busy_hours.js";
 import { Chart } from "../../parts/chart.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
 import { Deliveries } from "../../parts/deliveries.js";
@@ -139,6 +140,10 @@ function Told({ job }) {
   return html`<section class="card"><h2>News of it</h2><${Deliveries} items=${data.items} what="webhook" /></section>`;
 }
 
+/** What it had of a GPU's memory, and whether others have a part of it, too. */
+const memory = ({ gpu_part, peak_bytes }) => html`${gpu_part && html`<br /><span class="facts">shares the GPU: ${percent(gpu_part)} of its memory</span>`}
+  ${peak_bytes && html`<br /><span class="facts">${bytes(peak_bytes)} of memory at most</span>`}`;
+
 function Attempts({ job }) {
   if (!job.attempts.length) return null;
   return html`<section class="card"><h2>Attempts</h2><div class="table stacking" tabindex="0" role="region" aria-label="Attempts">
@@ -146,7 +151,7 @@ function Attempts({ job }) {
       <thead><tr><th>#</th><th>Worker</th><th>Device</th><th>Engine</th><th>Started</th><th>Took</th><th>Ended because</th></tr></thead>
       <tbody>${job.attempts.map(
         (attempt) => html`<tr key=${attempt.number}>
-          <td data-label="#">${attempt.number}</td><td data-label="Worker"><span>${attempt.worker}${attempt.details.allocation && html`<br /><span class="facts">${allocated(attempt.details.allocation)}</span>`}${attempt.details.gpus?.includes(",") && html`<br /><span class="facts">on ${attempt.details.gpus}</span>`}</span></td><td data-label="Device">${attempt.device || "–"}</td>
+          <td data-label="#">${attempt.number}</td><td data-label="Worker"><span>${attempt.worker}${attempt.details.allocation && html`<br /><span class="facts">${allocated(attempt.details.allocation)}</span>`}${attempt.details.gpus?.includes(",") && html`<br /><span class="facts">on ${attempt.details.gpus}</span>`}</span></td><td data-label="Device"><span>${attempt.device || "–"}${memory(attempt)}</span></td>
           <td data-label="Engine">${attempt.engine || "–"}</td><td data-label="Started">${moment(attempt.started_at)}</td>
           <td data-label="Took">${duration(seconds(attempt.started_at, attempt.ended_at || Date.now()))}</td>
           <td data-label="Ended because">${attempt.reason ? html`<span>${attempt.reason}: <${Prose} text=${attempt.message || ""} /></span>` : "still running"}</td>

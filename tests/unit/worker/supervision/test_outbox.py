@@ -18,7 +18,17 @@ from core.jobs.submission import submit
 from tests.faults.bench import wait_until
 from tests.feeds import read_feed
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
-from worker.protocol import Advanced, FileReady, Hello, Measured, Noted, PhaseBegan, PhaseEnded, Started
+from worker.protocol import (
+    Advanced,
+    FileReady,
+    Hello,
+    Measured,
+    MemoryPeak,
+    Noted,
+    PhaseBegan,
+    PhaseEnded,
+    Started,
+)
 from worker.supervision.outbox import Outbox
 
 A_DAY_S = 86_400.0
@@ -180,3 +190,10 @@ def test_h6a_a_training_that_was_taken_over_publishes_and_removes_no_file_but_it
     assert len(notes) == 3
     assert all("is no plain file" in note for note in notes)
     assert secret.exists()
+
+
+def test_the_memory_that_a_training_has_taken_is_in_its_attempt(outbox: Outbox, claim: Claim) -> None:
+    for num_bytes in (2**20, 2**21):
+        outbox.put(MemoryPeak(bytes=num_bytes))
+    assert outbox.close(30)
+    assert claim.store.get(claim.job_id).attempts[-1].peak_bytes == 2**21

@@ -17,7 +17,8 @@ from core.jobs.spec import JOB_SPEC
 from core.reasons import Reason
 from tests.learning.runs import small_run
 from tests.probes import Probe, endless
-from worker.protocol import MESSAGE, Advanced, FileReady, Measured, Noted, Started, Task
+from worker.protocol import MESSAGE, Advanced, FileReady, Measured, MemoryPeak, Noted, Started, Task
+from worker.training import train
 from worker.training.built_environment import build_environment
 from worker.training.event_writer import EventWriter
 from worker.training.roll_out import roll_out
@@ -46,6 +47,20 @@ def test_what_was_lost_is_warned_of_once_and_told_each_time(metric: str, words: 
     assert words in notes[0]
     rows = [message["values"] for message in said if message["type"] == "metrics"]
     assert [row[metric] for row in rows] == [0.0, 0.1, 0.2]
+
+
+def test_the_most_memory_that_a_run_has_had_is_told_when_it_grows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, write = os.pipe()
+    report = Report(EventWriter(tmp_path, write), small_run(endless()))
+    for step, peak in enumerate([None, 1000, 1005, 1000, 1200]):  # A hundredth more is no news.
+        monkeypatch.setattr(train, "_device_memory", lambda name, peak=peak: peak)
+        report.publish(TrainingProgress(step, 5, {}))
+    report.events._pipe.close()
+    with os.fdopen(read, "rb") as pipe:
+        said = [MESSAGE.validate_json(line) for line in pipe]
+    assert [message.bytes for message in said if isinstance(message, MemoryPeak)] == [1000, 1200]
 
 
 def test_m2_a_training_whose_only_bad_number_is_one_metric_keeps_its_progress(tmp_path: Path) -> None:
