@@ -262,7 +262,7 @@ async def _check_owner(access: Access, principal: Principal, request: Request, s
         )
         _check(principal, owner, SweepNotFound(sweep_id[:64]), f"Sweep {sweep_id}", owns=access.owns)
     elif (model_id := path.get("model_id")) is not None:
-        found = await to_thread.run_sync(service.store.owners_of_models, [model_id])
+        found = await to_thread.run_sync(service.store.models.owners_of, [model_id])
         seen = [one for one in found.get(model_id, ()) if principal.sees(one.project)]
         own = [one for one in seen if principal.may_change(one.owner)]
         missing = ModelNotFound(model_id[:80])

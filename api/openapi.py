@@ -29,7 +29,8 @@ from core.reasons import Reason
 from core.settings import ApiSettings
 from core.sweeps.spec import SWEEP_SPEC
 from core.sweeps.sweep import SweepStatus
-from core.user_models.record import Description, ModelStatus
+from core.uploads.record import UploadStatus
+from core.user_models.record import Description
 
 _REF = "#/components/schemas/{model}"
 # What `gaitway.schema` names without defining it. Those that are classes become components.
@@ -41,7 +42,7 @@ _VALUES: dict[str, Any] = {
     "EngineName": EngineName,
     "JobPhase": JobPhase,
     "JobStatus": JobStatus,
-    "ModelStatus": ModelStatus,
+    "ModelStatus": UploadStatus,
     "PreviewStatus": Literal["ready", "drawing"],
     "Priority": Priority,
     "QuotaKind": QuotaKind,

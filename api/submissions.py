@@ -32,8 +32,8 @@ from core.jobs.resolved import resolve_environment
 from core.jobs.spec import JOB_SPEC, EnvironmentSpec, JobSpec
 from core.jobs.store import Idempotency
 from core.jobs.submission import check_readable_model
+from core.jobs.uploads import Uploads
 from core.sweeps.spec import SWEEP_SPEC, Budget, SweepSpec
-from core.user_models.record import ModelStore
 
 Document = TypeVar("Document")
 # A client does not read the answer while it is still sending, so this much excess is read and discarded.
@@ -296,7 +296,7 @@ def in_the_query(refusal: Rejected) -> Rejected:
 
 
 def info_under(
-    environment_id: str, options: str | None, store: ModelStore, principal: Principal
+    environment_id: str, options: str | None, store: Uploads, principal: Principal
 ) -> EnvironmentInfo:
     """The environment's row of the catalog under these options; without any, the row itself.
 

@@ -72,6 +72,16 @@ class BadModel(Rejected):
         super().__init__(detail, [Problem("", detail)])
 
 
+class BadClips(Rejected):
+    """A file of clips that cannot be used."""
+
+    code = "bad-clips"
+    title = "The clips cannot be used"
+
+    def __init__(self, detail: str) -> None:
+        super().__init__(detail, [Problem("", detail)])
+
+
 class BadExport(Rejected):
     """A file that is not a whole export, or of a job that this service cannot have."""
 
@@ -110,6 +120,14 @@ class ModelNotFound(NotFound):
 
     def __init__(self, model_id: str) -> None:
         super().__init__(f"There is no model {model_id!r}; `POST /models` makes one.", model=model_id)
+
+
+class ClipsNotFound(NotFound):
+    code = "clips-not-found"
+    title = "No such clips"
+
+    def __init__(self, clips_id: str) -> None:
+        super().__init__(f"There are no clips {clips_id!r}; `POST /clips` makes them.", clips=clips_id)
 
 
 class ArtifactNotFound(NotFound):
@@ -195,6 +213,19 @@ class ModelInUse(Conflict):
         super().__init__(
             f"{len(jobs)} unfinished jobs need the model ({named}): cancel them first.",
             model=model_id,
+            jobs=list(jobs),
+        )
+
+
+class ClipsInUse(Conflict):
+    code = "clips-in-use"
+    title = "Jobs need the clips"
+
+    def __init__(self, clips_id: str, jobs: Sequence[str]) -> None:
+        named = ", ".join(jobs[:5])
+        super().__init__(
+            f"{len(jobs)} unfinished jobs need the clips ({named}): cancel them first.",
+            clips=clips_id,
             jobs=list(jobs),
         )
 

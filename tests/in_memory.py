@@ -14,6 +14,7 @@ from core.errors import ObjectDamaged, ObjectNotFound
 from core.jobs.queue import queue_names
 from core.previews.record import PreviewRequest
 from core.storage.objects import ObjectInfo
+from core.uploads.record import KindName
 
 
 def _utc_now() -> datetime:
@@ -100,7 +101,7 @@ class MemoryJobQueue:
     def __init__(self) -> None:
         self._waiting: dict[Dispatch, str] = {}
         self._taken: set[Dispatch] = set()
-        self._models: list[str] = []
+        self._uploads: list[tuple[KindName, str]] = []
         self._previews: list[PreviewRequest] = []
         self._lock = Lock()
 
@@ -140,19 +141,19 @@ class MemoryJobQueue:
             self._waiting.pop(dispatch, None)
             self._taken.discard(dispatch)
 
-    def enqueue_model(self, model_id: str) -> None:
+    def enqueue_upload(self, kind: KindName, upload_id: str) -> None:
         with self._lock:
-            if model_id not in self._models:
-                self._models.append(model_id)
+            if (kind, upload_id) not in self._uploads:
+                self._uploads.append((kind, upload_id))
 
-    def contains_model(self, model_id: str) -> bool:
+    def contains_upload(self, kind: KindName, upload_id: str) -> bool:
         with self._lock:
-            return model_id in self._models
+            return (kind, upload_id) in self._uploads
 
-    def take_model(self) -> str | None:
-        """The next model for a worker, removed at once; None if none waits."""
+    def take_upload(self) -> tuple[KindName, str] | None:
+        """The next file for a worker, removed at once; None if none waits."""
         with self._lock:
-            return self._models.pop(0) if self._models else None
+            return self._uploads.pop(0) if self._uploads else None
 
     def enqueue_preview(self, request: PreviewRequest) -> None:
         with self._lock:

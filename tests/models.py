@@ -1,11 +1,12 @@
 """Users' models for tests that have no API to send them to."""
 
 import hashlib
+from datetime import datetime
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
 
-from core.user_models import library
+from core.uploads import library
 from core.user_models.record import ModelRecord
 
 
@@ -14,10 +15,19 @@ def identity(body: bytes) -> str:
     return f"sha256:{hashlib.sha256(body).hexdigest()}"
 
 
-def add(body: bytes, media_type: str = "application/xml", **where: Any) -> ModelRecord:
+def add(
+    body: bytes, media_type: str = "application/xml", *, now: datetime, name: str | None = None, **where: Any
+) -> ModelRecord:
     """As the API does once it has received them."""
     with NamedTemporaryFile() as file:
         file.write(body)
         file.flush()
-        sha256 = identity(body).removeprefix("sha256:")
-        return library.add(Path(file.name), sha256, media_type, **where)
+        record = ModelRecord(
+            id=identity(body),
+            name=name,
+            status="validating",
+            media_type=media_type,
+            size=len(body),
+            created_at=now,
+        )
+        return library.add(Path(file.name), record, **where)

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import structlog
 
@@ -22,17 +23,20 @@ from core.errors import Unavailable
 from core.jobs import feeds, orphans, removal
 from core.jobs.ending import end_deletions
 from core.jobs.reconciliation import Reconciler, StrayMessages
+from core.jobs.store import JobStore
 from core.jobs.tallies import Report, Tallies
 from core.settings import ReconcilerSettings
+from core.storage.objects import ObjectStore
 from core.sweeps.controller import SweepController
 from core.telemetry import configure_logging
-from core.user_models import library
+from core.uploads import library
+from core.uploads.record import UploadStore
 from worker.host.health import show_life
 from worker.news import Post, Sender
 
 log = structlog.get_logger()
 
-# It reads the record of every model, and nobody waits for it.
+# It reads the record of every model and clip file, and nobody waits for it.
 _TIDY_EVERY_S = 3600.0
 _DELETIONS_EVERY_S = 60.0
 _REPORT_EVERY_S = 30.0
@@ -109,7 +113,10 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
         Chore("monitoring", _REPORT_EVERY_S, Report(tallies, store.add_tallies).now),
         Chore("half_life", _TIDY_EVERY_S, partial(store.set_half_life, settings.share_half_life)),
         Chore("record", _TIDY_EVERY_S, store.tidy),
-        Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
+        *(
+            Chore(f"refused_{uploads.kind.name}", _TIDY_EVERY_S, partial(_tidy, uploads, store, objects))
+            for uploads in (store.models, store.clips)
+        ),
         Chore("deletions", _DELETIONS_EVERY_S, partial(end_deletions, store=store, objects=objects)),
         Chore("uploads", _TIDY_EVERY_S, partial(orphans.end_unfinished, store=store, objects=objects)),
         LongChore("retention", _TIDY_EVERY_S, partial(removal.apply, store=store, objects=objects)),
@@ -143,6 +150,10 @@ def main() -> None:
         show_life(settings.alive_file)
         time.sleep(pause_s)
     sys.exit(1)
+
+
+def _tidy(uploads: UploadStore[Any], store: JobStore, objects: ObjectStore) -> int:
+    return library.tidy(store=uploads, objects=objects, now=store.now())
 
 
 def _go_on(chores: Sequence[Chore | LongChore], pause_s: float) -> None:

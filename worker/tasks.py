@@ -153,7 +153,7 @@ def validate_model(model_id: str) -> None:
     with spool(spools / f"{model_id.replace(':', '-')}.{os.getpid()}") as folder, suppress(NotFound):
         validate(
             model_id,
-            store,
+            store.models,
             object_store(settings),
             folder,
             settings.data_dir.absolute(),

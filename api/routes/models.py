@@ -26,10 +26,10 @@ from core.errors import (
     Rejected,
     StorageUnavailable,
 )
-from core.jobs.ending import remove_model
+from core.jobs.ending import remove_upload
 from core.jobs.quotas import check_bytes
 from core.jobs.spec import Text
-from core.user_models import library
+from core.uploads import library
 from core.user_models.record import ModelRecord
 from gaitway.schema import ModelView
 
@@ -106,7 +106,7 @@ class ModelFilters(QueryParameters):
 
 def _views(records: Sequence[ModelRecord], service: Service, principal: Principal) -> list[ModelView]:
     """Each with one of the projects that have it and that the principal sees, where they own it if any."""
-    owners = service.store.owners_of_models([record.id for record in records])
+    owners = service.store.models.owners_of([record.id for record in records])
     return [_view(record, owners.get(record.id, ()), principal) for record in records]
 
 
@@ -136,7 +136,7 @@ async def _added(
         raise Rejected(detail, [Problem("/main", detail)])
     ownership = await run_sync(ownership_of_new, principal, sent.project, service)
     most = service.settings.max_waiting_models
-    if await run_sync(service.store.num_waiting_models) + service.num_uploads >= most:
+    if await run_sync(service.store.models.num_waiting) + service.num_uploads >= most:
         raise TooManyModels(most)
     service.num_uploads += 1
     try:
@@ -198,21 +198,21 @@ def list_models(
 ) -> Response:
     """Models, the last sent first; with accounts those of your projects."""
     asked = whose(principal, listed.owner, listed.project)
-    page = service.store.list_models(
+    page = service.store.models.list(
         cursor=listed.cursor,
         limit=listed.limit,
         name=listed.name,
         projects=asked.projects,
         owner=asked.owner,
     )
-    items = _views(page.models, service, principal)
+    items = _views(page.uploads, service, principal)
     return answer(Listing[ModelView](items=items, next=page.next_cursor))
 
 
 @router.get("/models/{model_id}", responses=refusals(ModelNotFound, RecordsUnavailable))
 def read_model(model_id: ModelId, service: ServiceDep, principal: PrincipalDep) -> ModelView:
     """A model's contents, or the state of its validation."""
-    return _views([library.find(model_id, service.store)], service, principal)[0]
+    return _views([library.find(model_id, service.store.models)], service, principal)[0]
 
 
 @router.delete(
@@ -222,12 +222,12 @@ def read_model(model_id: ModelId, service: ServiceDep, principal: PrincipalDep) 
 )
 def delete_model(model_id: ModelId, service: ServiceDep, principal: PrincipalDep) -> None:
     """Delete a model that no unfinished job needs; other projects to which it was sent, too, keep it."""
-    record = library.find(model_id, service.store)
-    owners = service.store.owners_of_models([record.id]).get(record.id, ())
+    record = library.find(model_id, service.store.models)
+    owners = service.store.models.owners_of([record.id]).get(record.id, ())
     projects = [
         one.project for one in owners if principal.may_change(one.owner) and principal.sees(one.project)
     ]
-    remove_model(model_id, projects, store=service.store, objects=service.objects)
+    remove_upload(model_id, service.store.models, projects, store=service.store, objects=service.objects)
 
 
 def _add(
@@ -240,25 +240,29 @@ def _add(
             raise BadModel("The zip cannot be read: it has no directory at its end.")
         upload = named
     model_id = f"sha256:{upload.sha256}"
-    owners = store.owners_of_models([model_id]).get(model_id, ())
+    owners = store.models.owners_of([model_id]).get(model_id, ())
     if ownership.project not in {one.project for one in owners}:
         check_bytes(ownership, store, upload.size)
     return library.add(
         upload.path,
-        upload.sha256,
-        media_type,
-        store=store,
+        ModelRecord(
+            id=model_id,
+            name=sent.name,
+            status="validating",
+            media_type=media_type,
+            size=upload.size,
+            created_at=store.now(),
+        ),
+        store=store.models,
         objects=service.objects,
         queue=service.queue,
-        now=store.now(),
-        name=sent.name,
         sender=principal,
         ownership=ownership,
     )
 
 
-def _refused(record: ModelRecord, service: Service) -> BadModel:
-    return library.refused(record, store=service.store, objects=service.objects)
+def _refused(record: ModelRecord, service: Service) -> Rejected:
+    return library.refused(record, store=service.store.models, objects=service.objects)
 
 
 async def _settled(record: ModelRecord, service: Service) -> ModelRecord:
@@ -269,5 +273,5 @@ async def _settled(record: ModelRecord, service: Service) -> ModelRecord:
     until = time.monotonic() + _TIMEOUT_S
     while record.status == "validating" and time.monotonic() < until and not service.stopping:
         await sleep(_POLL_S)
-        record = await run_sync(library.find, record.id, service.store)
+        record = await run_sync(library.find, record.id, service.store.models)
     return record

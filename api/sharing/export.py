@@ -176,7 +176,7 @@ def _model(job: Job, service: Service, contents: _Contents) -> Iterator[ZipMembe
     if model_id is None:
         return
     try:
-        record = service.store.find_model(model_id)
+        record = service.store.models.find(model_id)
         suffix = "zip" if record.media_type == "application/zip" else "xml"
         name = f"model/{model_id.removeprefix('sha256:')[:12]}.{suffix}"
         sha256 = model_id.removeprefix("sha256:")

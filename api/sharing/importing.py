@@ -41,7 +41,7 @@ from core.jobs.store import Entry, status_entry
 from core.jobs.submission import ImportedFile, ImportedRun
 from core.reasons import Reason
 from core.storage import keys
-from core.user_models import library
+from core.uploads import library
 
 Document = TypeVar("Document", bound=BaseModel)
 
@@ -191,8 +191,8 @@ def _check_job(job: Job, readable: Collection[str] | None, service: Service) -> 
     try:
         if catalog.find(environment.id).takes_model:
             model = str(environment.options.get("model"))
-            library.find(model, service.store)
-            owners = service.store.owners_of_models([model]).get(model, ())
+            library.find(model, service.store.models)
+            owners = service.store.models.owners_of([model]).get(model, ())
             # Whoever may export it would have the model's file.
             if readable is not None and not any(one.project in readable for one in owners):
                 raise ModelNotFound(model)

@@ -1,4 +1,4 @@
-"""Cancels a job; deletes a job, or a user's own model, permanently."""
+"""Cancels a job; deletes a job, or a file that users sent, permanently."""
 
 from collections.abc import Collection, Iterable
 from contextlib import suppress
@@ -7,7 +7,6 @@ from datetime import datetime, timedelta
 from core.errors import (
     JobFinished,
     JobNotFinished,
-    ModelInUse,
     RecordsUnavailable,
     StaleJob,
     StorageUnavailable,
@@ -19,7 +18,8 @@ from core.jobs.store import JobStore
 from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
-from core.user_models import library
+from core.uploads import library
+from core.uploads.record import Record, UploadStore
 
 
 def cancel(job_id: str, *, store: JobStore, queue: JobQueue) -> Job:
@@ -103,17 +103,24 @@ def end_deletions(*, store: JobStore, objects: ObjectStore, after: timedelta = _
     return len(deleted)
 
 
-def remove_model(model_id: str, projects: Collection[str], *, store: JobStore, objects: ObjectStore) -> None:
-    """Take the model from these projects; once none has it, remove its file and its record.
+def remove_upload(
+    upload_id: str,
+    uploads: UploadStore[Record],
+    projects: Collection[str],
+    *,
+    store: JobStore,
+    objects: ObjectStore,
+) -> None:
+    """Take a model or a file of clips from these projects; once none has it, remove its file and its record.
 
-    Raises ModelNotFound, and ModelInUse while a job in one of these projects needs it. Ended
-    jobs keep their files, but their policies cannot be run here any more.
+    Raises the kind's `missing`, and its `in_use` while a job in one of these projects needs it. Ended jobs
+    keep their files, but their policies cannot be run here any more.
     """
-    library.find(model_id, store)
-    users = store.users_of(model_id)
+    library.find(upload_id, uploads)
+    users = store.users_of(upload_id)
     if needed := [job for job in users if store.owner_of(job).project in projects]:
-        raise ModelInUse(model_id, needed)
-    if store.release_model(model_id, projects) or users:
+        raise uploads.kind.in_use(upload_id, needed)
+    if uploads.release(upload_id, projects) or users:
         return
-    objects.delete_prefix(keys.previews_of(model_id))
-    library.forget(model_id, store=store, objects=objects)
+    objects.delete_prefix(keys.previews_of(upload_id))
+    library.forget(upload_id, store=uploads, objects=objects)

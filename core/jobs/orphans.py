@@ -10,14 +10,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import groupby
+from typing import Any
 
 import structlog
 
-from core.errors import ModelNotFound, ObjectNotFound, StaleJob, StorageUnavailable
+from core.errors import NotFound, ObjectNotFound, StaleJob, StorageUnavailable
 from core.jobs import feeds
 from core.jobs.store import JobQuery, JobStore
 from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore
+from core.uploads.record import UploadStore
 
 log = structlog.get_logger()
 
@@ -41,7 +43,8 @@ class _Seen:
 
 
 def sweep(*, store: JobStore, objects: ObjectStore, grace: timedelta = GRACE) -> Iterator[None]:
-    """Remove objects that no record names, of known jobs, and whole models that the record does not know.
+    """Remove objects that no record names, of known jobs, and whole models and clips that the record does not
+    know.
 
     A round through a large bucket takes minutes. It yields after each step: a page of the listing with two
     queries, or one object removed.
@@ -55,10 +58,11 @@ def sweep(*, store: JobStore, objects: ObjectStore, grace: timedelta = GRACE) ->
     seen = _Seen()
     for batch in batches(folders(objects.list(keys.jobs()))):
         yield from _of_jobs(batch, before, store, objects, seen)
-    # A record that has forgotten jobs may have forgotten models, too.
+    # A record that has forgotten jobs may have forgotten models and clips, too.
     if seen.known_jobs and not seen.unknown_objects:
-        for batch in batches(folders(objects.list(keys.models()))):
-            yield from _of_models(batch, before, store, objects, seen)
+        for uploads in (store.models, store.clips):
+            for batch in batches(folders(objects.list(uploads.kind.folder))):
+                yield from _of_uploads(batch, before, uploads, objects, seen)
     if seen.removed:
         log.info("orphans_removed", num_objects=seen.removed)
     if seen.unknown_objects:
@@ -71,7 +75,7 @@ def sweep(*, store: JobStore, objects: ObjectStore, grace: timedelta = GRACE) ->
 
 
 def folders(found: Iterable[ObjectInfo]) -> Iterator[tuple[str, Sequence[ObjectInfo]]]:
-    """A listing in key order, grouped by the second part of its keys: a job's id or a model's hash."""
+    """A listing in key order, grouped by the second part of its keys: a job's id or an upload's hash."""
     for name, infos in groupby(found, lambda info: keys.job_of(info.key)):
         yield name, list(infos)
 
@@ -109,20 +113,20 @@ def _of_jobs(
     yield
 
 
-def _of_models(
-    batch: Folders, before: datetime, store: JobStore, objects: ObjectStore, seen: _Seen
+def _of_uploads(
+    batch: Folders, before: datetime, store: UploadStore[Any], objects: ObjectStore, seen: _Seen
 ) -> Iterator[None]:
     for name, infos in batch.items():
-        if all(_is_older(info, before) for info in infos) and not is_model(name, store):
+        if all(_is_older(info, before) for info in infos) and not is_upload(name, store):
             yield from _remove([info.key for info in infos], before, objects, seen)
     yield
 
 
-def is_model(name: str, store: JobStore) -> bool:
-    """Whether the record knows the model with this hash."""
+def is_upload(name: str, store: UploadStore[Any]) -> bool:
+    """Whether the record knows the model or the file of clips with this hash."""
     try:
-        store.find_model(f"sha256:{name}")
-    except ModelNotFound:
+        store.find(f"sha256:{name}")
+    except NotFound:
         return False
     return True
 
@@ -170,7 +174,7 @@ _PAGE = 200
 
 @dataclass(frozen=True)
 class Difference:
-    """Where the record and the bucket disagree about a job or a user's own model, by its id.
+    """Where the record and the bucket disagree about a job, or a file that users sent, by its id.
 
     missing: keys of objects that the record names and the bucket lacks. unknown: keys that no record names;
     beside a running service, files that it is about to name are among them.
@@ -194,17 +198,19 @@ def differences(*, store: JobStore, objects: ObjectStore) -> Iterator[Difference
             {job.id: () for job in page.jobs if job.id not in seen}, store, objects
         )
         cursor = page.next_cursor
-    yield from _differences_in_models(store, objects)
+    for uploads in (store.models, store.clips):
+        yield from _differences_in_uploads(uploads, objects)
 
 
 def mark_missing(owner: str, missing: Sequence[str], *, store: JobStore, objects: ObjectStore) -> None:
-    """Remove from the record what is missing: files, with a note in the job's events; a model, so that it can
-    be sent again. A note takes the place of a missing part of a feed.
+    """Remove from the record what is missing: files, with a note in the job's events; a model or clips,
+    so that they can be sent again. A note takes the place of a missing part of a feed.
 
     Raises JobNotFound, JobUnreadable.
     """
     if owner.startswith("sha256:"):
-        store.delete_model(owner)
+        for uploads in (store.models, store.clips):  # No two have an id in common.
+            uploads.delete(owner)
         return
     for chunk in store.chunks([owner]).get(owner, ()):
         if chunk.key in missing:
@@ -236,15 +242,16 @@ def _differences_in_jobs(batch: Folders, store: JobStore, objects: ObjectStore) 
         yield Difference(job_id, missing[job_id], unknown[job_id])
 
 
-def _differences_in_models(store: JobStore, objects: ObjectStore) -> Iterator[Difference]:
-    known = {record.id for record in store.models() if record.status != "refused"}
-    for name, infos in folders(objects.list(keys.models())):
-        if f"sha256:{name}" not in known and not is_model(name, store):
+def _differences_in_uploads(store: UploadStore[Any], objects: ObjectStore) -> Iterator[Difference]:
+    known = {record.id: record for record in store.all() if record.status != "refused"}
+    for name, infos in folders(objects.list(store.kind.folder)):
+        if f"sha256:{name}" not in known and not is_upload(name, store):
             yield Difference(f"sha256:{name}", (), [info.key for info in infos])
-    for model_id in sorted(known):
-        source = keys.model_source(model_id)
-        if not _exists(source, objects) and is_model(model_id.removeprefix("sha256:"), store):
-            yield Difference(model_id, [source], ())
+    for upload_id, record in known.items():
+        needed = [store.kind.source(upload_id), *store.kind.made(record)]
+        missing = [key for key in needed if not _exists(key, objects)]
+        if missing and is_upload(upload_id.removeprefix("sha256:"), store):
+            yield Difference(upload_id, missing, ())
 
 
 def _exists(key: str, objects: ObjectStore) -> bool:

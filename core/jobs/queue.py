@@ -7,7 +7,7 @@ from core.devices import gpu_indices
 from core.jobs.job import Job
 from core.jobs.spec import MOST_GPUS, Accelerator, Priority
 from core.previews.record import PreviewQueue
-from core.user_models.record import ModelQueue
+from core.uploads.record import UploadQueue
 
 # The queues of what somebody waits for at a screen: one of each comes before the next job.
 PREVIEWS, MODELS = "gaitway-previews", "gaitway-models"
@@ -20,8 +20,8 @@ PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
 MOST_WAITING, MOST_SUBMITTED = 200, 100
 
 
-class JobQueue(ModelQueue, PreviewQueue, Protocol):
-    """At-least-once dispatch of jobs, models and previews.
+class JobQueue(PreviewQueue, UploadQueue, Protocol):
+    """At-least-once dispatch of jobs, of files to validate, and of previews.
 
     The message of an attempt says that there is work for slots of a kind: the worker that takes it claims the
     job whose turn it is (`core.jobs.turns`). So there are about as many messages as jobs that wait, and it

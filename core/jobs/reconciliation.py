@@ -135,9 +135,9 @@ class Reconciler:
 
 
 def _is_known(dispatch: Dispatch, known: Collection[tuple[str, int]], queue: JobQueue) -> bool:
-    if dispatch.task == "model":
-        return queue.contains_model(dispatch.subject)
-    return (dispatch.subject, dispatch.attempt) in known
+    if dispatch.task == "attempt":
+        return (dispatch.subject, dispatch.attempt) in known
+    return queue.contains_upload(dispatch.task, dispatch.subject)
 
 
 class StrayMessages:

@@ -21,9 +21,10 @@ from core.environments.terms.task import task_slices
 from core.errors import EnvironmentNotFound, ModelNotFound, Problem, Rejected
 from core.jobs.job import Job
 from core.jobs.spec import Accelerator, EnvironmentSpec, JobSpec, TrainSpec
+from core.jobs.uploads import Uploads
 from core.physics.availability import EngineName, beyond
-from core.user_models import library
-from core.user_models.record import Description, ModelStore
+from core.uploads import library
+from core.user_models.record import Description
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 
@@ -68,24 +69,24 @@ class ResolvedJob:
         return one.of_seeds(len(spec.seeds or [spec.seed]))
 
 
-def resolve_job(spec: JobSpec, models: ModelStore | None = None) -> ResolvedJob:
+def resolve_job(spec: JobSpec, uploads: Uploads | None = None) -> ResolvedJob:
     """The job under `resolve_environment`. Raises Rejected."""
-    return ResolvedJob(spec, *resolve_environment(spec.environment, models))
+    return ResolvedJob(spec, *resolve_environment(spec.environment, uploads))
 
 
 def resolve_environment(
-    environment: EnvironmentSpec, models: ModelStore | None = None
+    environment: EnvironmentSpec, uploads: Uploads | None = None
 ) -> tuple[EnvironmentInfo, Strict]:
     """The environment's row of the catalog under these options, and the options with defaults filled in.
 
-    models: without it, the row of a user's own model lacks what depends on the model. Raises Rejected.
+    uploads: without it, the row of a user's own model lacks what depends on the model. Raises Rejected.
     """
     try:
         info, options = catalog.resolve(environment.id, environment.options)
     except EnvironmentNotFound as error:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
-    if models is not None and isinstance(options, MjcfOptions):
-        info = _row_of(info, options, own_model(options, models))
+    if uploads is not None and isinstance(options, MjcfOptions):
+        info = _row_of(info, options, own_model(options, uploads))
     return info, options
 
 
@@ -108,13 +109,13 @@ def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Descriptio
 _POINTER, _EDITS = "/environment/options/model", "/environment/options/edits"
 
 
-def own_model(options: MjcfOptions, store: ModelStore) -> Description:
+def own_model(options: MjcfOptions, store: Uploads) -> Description:
     """The description of the model that the options name.
 
     Raises Rejected where the model does not exist, is not validated yet, or does not fit the options.
     """
     try:
-        record = library.find(options.model, store)
+        record = library.find(options.model, store.models)
     except ModelNotFound as error:
         raise Rejected(error.detail, [Problem(_POINTER, error.detail)]) from None
     if record.status != "ready" or record.description is None:
@@ -153,7 +154,7 @@ def engines_that_cannot(description: Description | None, options: MjcfOptions) -
     return cannot
 
 
-def filled_in(job: Job, store: ModelStore) -> dict[str, Any]:
+def filled_in(job: Job, store: Uploads) -> dict[str, Any]:
     """The specification as JSON, with every field. It may be submitted again.
 
     The hyperparameters are those of the newest attempt; before there is one, those that a CPU would get, or

@@ -22,10 +22,11 @@ from core.jobs.sorting import Sort
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
 from core.jobs.turns import TurnFacts
+from core.jobs.uploads import Uploads
 from core.jobs.usage import UsageStore
 from core.jobs.workers import WorkerStore
 from core.news.store import NewsStore
-from core.user_models.record import ModelStore
+from core.uploads.record import KindName
 
 # Metrics are a feed of their own, with numbers among those of the events, which are read with them.
 Channel = Literal["events", "logs", "metrics"]
@@ -183,9 +184,10 @@ class MetricsPart:
 
 @dataclass(frozen=True)
 class Dispatch:
-    """A message to hand over to RQ. task: `attempt` or `model`; subject: the job's or the model's id."""
+    """A message to hand over to RQ. task: `attempt`, or the kind of a file to validate; subject: the id of
+    the job or of the file."""
 
-    task: Literal["attempt", "model"]
+    task: Literal["attempt"] | KindName
     subject: str
     attempt: int = 0
 
@@ -208,7 +210,7 @@ class Mark:
     num_logs: int
 
 
-class JobStore(ModelStore, NewsStore, QuotaStore, RetentionStore, UsageStore, WorkerStore, Protocol):
+class JobStore(NewsStore, QuotaStore, RetentionStore, Uploads, UsageStore, WorkerStore, Protocol):
     """The record. Every method raises RecordsUnavailable when the store cannot be reached.
 
     Each write is one transaction. `save` is a compare-and-set on the version; `renew` and `record` carry an
@@ -329,7 +331,7 @@ class JobStore(ModelStore, NewsStore, QuotaStore, RetentionStore, UsageStore, Wo
     def waiting(
         self, room: Mapping[str, int] | None = None, but_not: Collection[tuple[str, int]] = ()
     ) -> Sequence[Dispatch]:
-        """The next attempt of queued jobs that may begin, and every model that waits for its validation.
+        """The next attempt of queued jobs that may begin, and every file that waits for its validation.
 
         room: for each queue how many of its jobs, the oldest first; the queues in their order. None: as many
         as a queue holds. but_not: attempts to be left out, each
@@ -338,7 +340,7 @@ class JobStore(ModelStore, NewsStore, QuotaStore, RetentionStore, UsageStore, Wo
         ...
 
     def queue_counts(self) -> Sequence[QueueCount]:
-        """Each queue with queued or held jobs, and that of models that wait for their validation."""
+        """Each queue with queued or held jobs, and that of files that wait for their validation."""
         ...
 
     def queues_of_several_hosts(self) -> Collection[str]:
@@ -457,8 +459,8 @@ class JobStore(ModelStore, NewsStore, QuotaStore, RetentionStore, UsageStore, Wo
         """The marks of these jobs; unknown jobs are left out."""
         ...
 
-    def users_of(self, model_id: str) -> Sequence[str]:
-        """The ids of unfinished jobs that name this model."""
+    def users_of(self, upload_id: str) -> Sequence[str]:
+        """The ids of unfinished jobs that name this model or this file of clips."""
         ...
 
     def jobs_needing_checkpoint_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:

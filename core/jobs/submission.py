@@ -33,11 +33,11 @@ from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
 from core.jobs.quotas import check_quotas
 from core.jobs.spec import CheckpointPolicy, EnvironmentSpec, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import Chunk, Dispatch, Entry, Idempotency, JobStore
+from core.jobs.uploads import Uploads
 from core.news.store import NewsStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
-from core.user_models import library
-from core.user_models.record import ModelStore
+from core.uploads import library
 
 log = structlog.get_logger()
 
@@ -131,18 +131,18 @@ def check_readable_source(spec: JobSpec, readable: Collection[str] | None, store
 
 
 def check_readable_model(
-    environment: EnvironmentSpec, readable: Collection[str] | None, store: ModelStore
+    environment: EnvironmentSpec, readable: Collection[str] | None, store: Uploads
 ) -> None:
     """Refuse a model of other projects, in the words for one that does not exist."""
     model = environment.options.get("model")
     if readable is None or not isinstance(model, str):
         return
     try:
-        library.find(model, store)
+        library.find(model, store.models)
     except ModelNotFound:  # The check of the options says so.
         return
     # A deleted model that a job still needs is in no project.
-    owners = store.owners_of_models([model]).get(model, ())
+    owners = store.models.owners_of([model]).get(model, ())
     if not any(one.project in readable for one in owners):
         detail = ModelNotFound(model).detail
         raise Rejected(detail, [Problem("/environment/options/model", detail)])
@@ -195,7 +195,8 @@ def hand_over(dispatch: Dispatch, *, queue: JobQueue, job: Job | None = None, ag
     """
     try:
         if job is None:
-            queue.enqueue_model(dispatch.subject)
+            assert dispatch.task != "attempt"  # noqa: S101
+            queue.enqueue_upload(dispatch.task, dispatch.subject)
         else:
             queue.enqueue(job.id, job.next_attempt, name=queue_of(job), again=again)
     except RecordsUnavailable as error:

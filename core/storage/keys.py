@@ -6,6 +6,9 @@ jobs/<id>/imported/<hash>/<name>               what came with an import, by the 
 jobs/<id>/<channel>/<first>-<hash>.jsonl       a finished part of a feed, from entry <first> on
 jobs/<id>/metrics/<first>-<hash>.msgpack       the same for metrics, in columns
 models/<hash>/source                           a user's own model, as it was sent
+clips/<hash>/source                            a file of clips, as it was sent
+clips/<hash>/clips.npz                         what a worker read in it
+clips/<hash>/replay-<n>                        one of its clips to look at
 previews/<whose>/<hash>/<when>/about.json      which stills were drawn, or why none; written last
 previews/<whose>/<hash>/<when>/still-<n>.png   the stills; previews may be lost without harm
 caches/<machine>/<environment>/<when>/<name>   programs compiled on this kind of machine; may be lost too
@@ -19,7 +22,7 @@ PREVIEW_RECORD = "about.json"
 
 def folders() -> tuple[str, ...]:
     """The folders of everything that the service keeps."""
-    return (jobs(), models(), previews(), caches())
+    return (jobs(), models(), clip_files(), previews(), caches())
 
 
 def job(job_id: str) -> str:
@@ -62,6 +65,28 @@ def model(model_id: str) -> str:
 
 def model_source(model_id: str) -> str:
     return f"{model(model_id)}source"
+
+
+def clip_files() -> str:
+    return "clips/"
+
+
+def clip_file(file_id: str) -> str:
+    """file_id: `sha256:` and the hash."""
+    return f"clips/{file_id.removeprefix('sha256:')}/"
+
+
+def clip_file_source(file_id: str) -> str:
+    return f"{clip_file(file_id)}source"
+
+
+def clip_archive(file_id: str) -> str:
+    return f"{clip_file(file_id)}clips.npz"
+
+
+def clip_replay(file_id: str, number: int) -> str:
+    """number: of the clip in the file."""
+    return f"{clip_file(file_id)}replay-{number}"
 
 
 def previews() -> str:

@@ -4,7 +4,7 @@ import hashlib
 import secrets
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -21,6 +21,7 @@ from api.main import ApiServer, listen
 from api.monitoring import Instruments
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
+from core.adapters.postgres.uploads import UploadQueries
 from core.errors import JobFinished, RecordsUnavailable, StorageUnavailable, Unavailable
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact, Job
@@ -57,7 +58,13 @@ class Frail(Generic[Part]):
         self._missed = threading.Event()
 
     def __getattr__(self, name: str) -> Any:
-        return self._fail if self._is_away else getattr(self._part, name)
+        found = getattr(self._part, name)
+        if isinstance(found, UploadQueries):
+            return _Uploads(self, found)
+        return self.while_there(found) if callable(found) else found
+
+    def while_there(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        return self._fail if self._is_away else call
 
     def _fail(self, *_: object, **__: object) -> None:
         self._missed.set()
@@ -70,6 +77,17 @@ class Frail(Generic[Part]):
         self._is_away = True
         yield self._missed
         self._is_away = False
+
+
+class _Uploads:
+    """The records of uploads, which are away with the store that has them."""
+
+    def __init__(self, store: "Frail[Any]", uploads: Any) -> None:
+        self._store, self._uploads = store, uploads
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._uploads, name)
+        return found if name == "kind" else self._store.while_there(found)
 
 
 @dataclass(frozen=True)
@@ -90,7 +108,7 @@ class Stack:
 
     def is_empty(self) -> bool:
         """Whether nothing was stored or queued."""
-        stored = [*self.store.list(JobQuery()).jobs, *self.store.models(), *self.store.undispatched()]
+        stored = [*self.store.list(JobQuery()).jobs, *self.store.models.all(), *self.store.undispatched()]
         return not (stored or list(self.objects.list("")) or self.queue.waiting())
 
 

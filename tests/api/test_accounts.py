@@ -54,8 +54,8 @@ def model_of_ann(lab: Lab, content: bytes | None = None) -> None:
         created_at=NOON,
         description=DESCRIPTION,
     )
-    lab.stack.store.add_model(record)
-    lab.stack.store.claim_model(model_id, Ownership("ann", "a"))
+    lab.stack.store.models.add(record)
+    lab.stack.store.models.claim(model_id, Ownership("ann", "a"))
 
 
 def trained_by_ann(lab: Lab) -> str:

@@ -29,7 +29,7 @@ def models(stack: Stack) -> None:
     for second, model_id in enumerate(IDS):
         at = NOON + timedelta(seconds=second)
         record = ModelRecord(id=model_id, status="ready", media_type="application/xml", size=7, created_at=at)
-        stack.store.add_model(record)
+        stack.store.models.add(record)
 
 
 @pytest.mark.usefixtures("workers")

@@ -23,7 +23,7 @@ from core.environments.terms.describe import inventory
 from core.jobs.reconciliation import Reconciler
 from core.physics.availability import beyond_compiled
 from core.storage import keys
-from core.user_models import library
+from core.uploads import library
 from core.user_models.record import Description
 from gaitway.cli.main import app
 from tests.api.conftest import Stack
@@ -60,9 +60,10 @@ def worker(stack: Stack, **found: Any) -> Iterator[None]:
 
     def work() -> None:
         while not idle.is_set():
-            if model_id := stack.queue.take_model():
-                record = library.find(model_id, stack.store)
-                stack.store.settle_model(record.model_copy(update=found))
+            if sent := stack.queue.take_upload():
+                _, model_id = sent
+                record = library.find(model_id, stack.store.models)
+                stack.store.models.settle(record.model_copy(update=found))
             time.sleep(0.01)
 
     thread = threading.Thread(target=work)
@@ -169,7 +170,7 @@ def test_a_model_that_can_be_used_is_answered_before_each_engine_was_tried(stack
 def test_the_same_bytes_are_the_same_model(stack: Stack, model: str) -> None:
     again = send(stack.http)
     assert (again.status_code, again.json()["id"]) == (200, model)
-    assert not stack.queue.contains_model(model)
+    assert not stack.queue.contains_upload("model", model)
 
 
 def test_a_slow_validation_is_asked_for_elsewhere(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,10 +183,10 @@ def test_a_slow_validation_is_asked_for_elsewhere(stack: Stack, monkeypatch: pyt
     assert "still being validated" in refused["detail"]
     assert send(stack.http).status_code == 202
     # Whatever the queue has lost is asked for again, at the second look that misses it.
-    assert stack.queue.take_model() == model_id
+    assert stack.queue.take_upload() == ("model", model_id)
     reconciler = Reconciler(stack.store, stack.queue, timedelta(seconds=15))
     assert [reconciler.run_once(), reconciler.run_once()] == [0, 1]
-    assert stack.queue.contains_model(model_id)
+    assert stack.queue.contains_upload("model", model_id)
 
 
 def test_a_refused_model_leaves_nothing_behind(stack: Stack) -> None:
@@ -262,9 +263,9 @@ def test_no_more_models_wait_than_the_setting_allows(stack: Stack, monkeypatch: 
     document = problem(answer, 429, "too-many-models")
     assert document["most"] == 2
     assert answer.headers["retry-after"] == "30"
-    assert len(stack.store.models()) == 2
-    record = library.find(identity(bodies[0]), stack.store)
-    stack.store.settle_model(record.model_copy(update={"status": "ready", "description": DESCRIPTION}))
+    assert len(stack.store.models.all()) == 2
+    record = library.find(identity(bodies[0]), stack.store.models)
+    stack.store.models.settle(record.model_copy(update={"status": "ready", "description": DESCRIPTION}))
     assert send(stack.http, bodies[2]).status_code == 202
 
 

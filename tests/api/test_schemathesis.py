@@ -12,7 +12,7 @@ import pytest
 
 from core.errors import Conflict, NotFound
 from core.previews import library as previews
-from core.user_models import library as models
+from core.uploads import library as models
 from tests.api.conftest import NOON, Attempt, Stack, job
 from tests.api.test_models import DESCRIPTION
 from tests.api.test_previews import announced
@@ -49,10 +49,11 @@ def _worker(stack: Stack) -> Iterator[None]:
             if waiting := stack.queue.take():
                 with suppress(Conflict, NotFound):  # Somebody cancelled or deleted it.
                     _end(Attempt(stack, stack.store.get(waiting.job_id), is_new=False))
-            if model := stack.queue.take_model():
-                found = models.find(model, stack.store)
+            if sent := stack.queue.take_upload():
+                _, model = sent
+                found = models.find(model, stack.store.models)
                 ready = {"status": "ready", "description": DESCRIPTION}
-                stack.store.settle_model(found.model_copy(update=ready))
+                stack.store.models.settle(found.model_copy(update=ready))
             if wanted := stack.queue.take_preview():
                 previews.keep(wanted, [b"PNG"] * len(wanted.cameras), stack.objects, NOON)
 

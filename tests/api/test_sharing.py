@@ -115,7 +115,7 @@ def test_the_users_own_model_goes_along_or_is_named(stack: Stack) -> None:
     assert {"part": f"the model {model}", "why": "it was deleted"} in missing
     stack.objects.put(keys.model_source(model), xml)
     record = ModelRecord(id=model, status="ready", media_type="application/xml", size=9, created_at=NOON)
-    stack.store.add_model(record)
+    stack.store.models.add(record)
     archive = opened(stack, found.id)
     [path] = [name for name in archive.namelist() if name.startswith("model/")]
     assert archive.read(path) == xml

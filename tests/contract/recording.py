@@ -9,6 +9,7 @@ from typing import Any
 
 import psycopg
 
+from core.clips.record import ClipFile
 from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
@@ -20,6 +21,7 @@ from core.user_models.record import ModelRecord
 NOW = datetime(2026, 11, 21, 12, 0, 0, tzinfo=UTC)
 LEASE = timedelta(seconds=30)
 MODEL = "sha256:" + "0" * 64
+CLIPS = f"sha256:{'c' * 64}"
 
 
 def queued_job(at_s: int = 0, **said: object) -> Job:
@@ -90,6 +92,11 @@ def artifact(name: str, **said: Any) -> Artifact:
 def model(model_id: str = MODEL, **said: object) -> ModelRecord:
     facts = {"status": "ready", "media_type": "application/xml", "size": 7, "created_at": NOW}
     return ModelRecord.model_validate({"id": model_id, **facts, **said})
+
+
+def clip_file(file_id: str = CLIPS, **said: object) -> ClipFile:
+    facts = {"status": "ready", "media_type": "application/octet-stream", "size": 7, "created_at": NOW}
+    return ClipFile.model_validate({"id": file_id, "sha256": "1" * 64, "body": "ant", **facts, **said})
 
 
 def worker(name: str) -> WorkerInfo:

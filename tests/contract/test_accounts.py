@@ -283,21 +283,21 @@ def test_sweeps_come_as_jobs_do(job_store: PostgresJobStore) -> None:
 
 def test_a_model_is_in_each_project_to_which_it_was_sent(job_store: PostgresJobStore) -> None:
     record = model()
-    job_store.add_model(record)
-    job_store.claim_model(record.id, Ownership("ann", "a"))
-    job_store.claim_model(record.id, Ownership("bob", "b"))
-    job_store.claim_model(record.id, Ownership("cat", "b"))  # Who came first owns it there.
-    assert job_store.owners_of_models([record.id]) == {
+    job_store.models.add(record)
+    job_store.models.claim(record.id, Ownership("ann", "a"))
+    job_store.models.claim(record.id, Ownership("bob", "b"))
+    job_store.models.claim(record.id, Ownership("cat", "b"))  # Who came first owns it there.
+    assert job_store.models.owners_of([record.id]) == {
         record.id: [Ownership("ann", "a"), Ownership("bob", "b")]
     }
-    assert [one.id for one in job_store.list_models(projects=("b",)).models] == [record.id]
-    assert job_store.list_models(projects=("c",)).models == []
-    assert job_store.list_models(projects=("b",), owner="ann").models == []
-    assert job_store.release_model(record.id, ["a"])
-    assert not job_store.release_model(record.id, ["b"])
+    assert [one.id for one in job_store.models.list(projects=("b",)).uploads] == [record.id]
+    assert job_store.models.list(projects=("c",)).uploads == []
+    assert job_store.models.list(projects=("b",), owner="ann").uploads == []
+    assert job_store.models.release(record.id, ["a"])
+    assert not job_store.models.release(record.id, ["b"])
     with pytest.raises(ModelNotFound):
-        job_store.claim_model(f"sha256:{'f' * 64}", Ownership("ann", "a"))
-    job_store.delete_model(record.id)
+        job_store.models.claim(f"sha256:{'f' * 64}", Ownership("ann", "a"))
+    job_store.models.delete(record.id)
 
 
 def test_a_listing_of_ones_projects_reads_few_rows_of_many(

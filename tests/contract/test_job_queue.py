@@ -10,7 +10,7 @@ from rq import Queue, SimpleWorker
 from rq.job import Job as RQJob
 from rq.serializers import JSONSerializer
 
-from core.adapters.rq.queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_of
+from core.adapters.rq.queue import PREVIEW_TASK, TASK, UPLOAD_TASKS, RQQueue, job_of
 from core.adapters.wiring import connect_redis
 from core.errors import RecordsUnavailable
 from core.jobs.queue import JobQueue, queue_name, queue_names
@@ -53,7 +53,7 @@ class TestEveryQueue:
         for number in (1, 2):
             queue.enqueue(JOB, number, name=queue_name("any", "normal"))
         queue.enqueue(OTHER, 1, name=queue_name("gpu", "high", 2))
-        queue.enqueue_model("sha256:00")
+        queue.enqueue_upload("model", "sha256:00")
         assert set(queue.known()) == {(JOB, 1), (JOB, 2), (OTHER, 1)}
         queue.remove(JOB, 1)
         assert set(queue.known()) == {(JOB, 2), (OTHER, 1)}
@@ -73,17 +73,17 @@ class TestEveryQueue:
         assert queue.num_waiting(names) == {names[0]: 2, names[1]: 1}
 
     def test_a_model_that_was_enqueued_is_contained_and_no_job(self, queue: JobQueue) -> None:
-        queue.enqueue_model(MODEL)
-        queue.enqueue_model(MODEL)
-        assert queue.contains_model(MODEL)
-        assert not queue.contains_model(MODEL.replace("0", "1"))
+        queue.enqueue_upload("model", MODEL)
+        queue.enqueue_upload("model", MODEL)
+        assert queue.contains_upload("model", MODEL)
+        assert not queue.contains_upload("model", MODEL.replace("0", "1"))
         assert not queue.contains(JOB, 1)
 
     def test_a_preview_that_was_enqueued_waits_once(self, queue: JobQueue) -> None:
         assert (queue.contains_preview(PREVIEW.id), queue.num_previews()) == (False, 0)
         queue.enqueue_preview(PREVIEW)
         queue.enqueue_preview(PREVIEW)
-        queue.enqueue_model(MODEL)
+        queue.enqueue_upload("model", MODEL)
         assert (queue.contains_preview(PREVIEW.id), queue.num_previews()) == (True, 1)
 
 
@@ -119,10 +119,10 @@ class TestRQ:
         assert (rq_job.timeout, rq_job.result_ttl, rq_job.retries_left) == (-1, 0, None)
 
     def test_a_worker_finds_the_model_before_all_jobs(self, redis_client: redis.Redis) -> None:
-        RQQueue(redis_client).enqueue_model(MODEL)
+        RQQueue(redis_client).enqueue_upload("model", MODEL)
         (rq_job,) = waiting(redis_client, queue_names("cpu")[1])
         assert queue_names("gpu:0")[1] == queue_names("cpu")[1]
-        assert (rq_job.func_name, tuple(rq_job.args)) == (MODEL_TASK, (MODEL,))
+        assert (rq_job.func_name, tuple(rq_job.args)) == (UPLOAD_TASKS["model"], (MODEL,))
         assert job_of(rq_job.id) is None
 
     def test_a_worker_finds_the_whole_request_for_a_preview(self, redis_client: redis.Redis) -> None:
@@ -140,7 +140,7 @@ class TestRQ:
                 queue.enqueue(
                     JOB, len(waiting_everywhere(redis_client)), name=queue_name(accelerator, priority)
                 )
-        queue.enqueue_model(MODEL)
+        queue.enqueue_upload("model", MODEL)
         assert {found.name for found in Queue.all(connection=redis_client)} <= served
         assert sum(len(waiting(redis_client, name)) for name in served) == 10
 
@@ -198,7 +198,7 @@ class TestRQ:
     def test_a_message_that_nobody_has_is_a_stray_and_can_be_dropped(self, redis_client: redis.Redis) -> None:
         queue = RQQueue(redis_client)
         enqueue(queue)
-        queue.enqueue_model(MODEL)
+        queue.enqueue_upload("model", MODEL)
         queue.enqueue_preview(PREVIEW)
         assert queue.strays() == set()
         redis_client.lpop("rq:queue:gaitway-any-normal")  # what a worker does, that then dies
@@ -210,7 +210,7 @@ class TestRQ:
             1,
         ]  # At the first look somebody may be taking it.
         assert [key for key in redis_client.keys("*") if stray.encode() in key] == []
-        assert queue.contains_model(MODEL)
+        assert queue.contains_upload("model", MODEL)
         assert queue.contains_preview(PREVIEW.id)
 
     def test_a_message_that_rq_forgets_by_itself_is_no_stray(self, redis_client: redis.Redis) -> None:

@@ -11,6 +11,7 @@ from functools import partial
 import pytest
 from structlog.testing import capture_logs
 
+from core.clips.record import ClipFacts, ClipsDescription
 from core.environments.terms.inventory import Inventory, Sizes
 from core.errors import (
     IdempotencyKeyReused,
@@ -28,6 +29,7 @@ from core.jobs.store import Dispatch, Idempotency, JobQuery, JobStore
 from core.reasons import Reason
 from core.user_models.record import Description
 from tests.contract.recording import (
+    CLIPS,
     LEASE,
     MODEL,
     NOW,
@@ -36,6 +38,7 @@ from tests.contract.recording import (
     at_once,
     cancelled,
     chunk_of,
+    clip_file,
     held,
     model,
     queued_job,
@@ -423,61 +426,91 @@ DESCRIPTION = Description(
 class TestModels:
     def test_what_was_added_is_read_back_equal(self, jobs: JobStore) -> None:
         ready = model(description=DESCRIPTION)
-        jobs.add_model(ready)
-        assert jobs.find_model(MODEL) == ready
+        jobs.models.add(ready)
+        assert jobs.models.find(MODEL) == ready
 
     def test_an_unknown_model_is_not_found(self, jobs: JobStore) -> None:
         with pytest.raises(ModelNotFound):
-            jobs.find_model(MODEL)
+            jobs.models.find(MODEL)
 
     def test_a_model_that_waits_for_its_validation_is_to_be_dispatched(self, jobs: JobStore) -> None:
-        jobs.add_model(model(status="validating"))
+        jobs.models.add(model(status="validating"))
         assert jobs.undispatched() == [Dispatch("model", MODEL)]
-        jobs.model_dispatched(MODEL)
+        jobs.models.dispatched(MODEL)
         assert jobs.undispatched() == []
 
     def test_a_ready_model_is_not_to_be_dispatched(self, jobs: JobStore) -> None:
-        jobs.add_model(model())
+        jobs.models.add(model())
         assert (jobs.undispatched(), jobs.waiting()) == ([], [])
 
     def test_what_was_found_out_is_stored(self, jobs: JobStore) -> None:
-        jobs.add_model(model(status="validating"))
+        jobs.models.add(model(status="validating"))
         refused = model(status="refused", message="a\0b", refused_at=NOW)
-        jobs.settle_model(refused)
-        assert jobs.find_model(MODEL) == refused.model_copy(update={"message": "a\ufffdb"})
+        jobs.models.settle(refused)
+        assert jobs.models.find(MODEL) == refused.model_copy(update={"message": "a\ufffdb"})
         assert jobs.waiting() == []
 
     def test_a_refused_model_that_is_sent_again_waits_again(self, jobs: JobStore) -> None:
-        jobs.add_model(model(status="refused", message="No.", refused_at=NOW))
+        jobs.models.add(model(status="refused", message="No.", refused_at=NOW))
         again = model(status="validating")
-        jobs.add_model(again)
-        assert jobs.find_model(MODEL) == again
+        jobs.models.add(again)
+        assert jobs.models.find(MODEL) == again
         assert jobs.undispatched() == jobs.waiting() == [Dispatch("model", MODEL)]
 
     def test_nothing_is_found_out_of_a_model_that_was_deleted(self, jobs: JobStore) -> None:
-        jobs.add_model(model(status="validating"))
-        jobs.delete_model(MODEL)
+        jobs.models.add(model(status="validating"))
+        jobs.models.delete(MODEL)
         with pytest.raises(ModelNotFound):
-            jobs.settle_model(model())
+            jobs.models.settle(model())
         with pytest.raises(ModelNotFound):
-            jobs.find_model(MODEL)
+            jobs.models.find(MODEL)
         assert (jobs.undispatched(), jobs.waiting()) == ([], [])
-        jobs.delete_model(MODEL)
+        jobs.models.delete(MODEL)
 
     def test_all_are_listed_and_one_that_cannot_be_read_is_refused_alone(
         self, jobs: JobStore, database: Database
     ) -> None:
         first, second, third = (model(MODEL.replace("0", digit)) for digit in "123")
         for record in (third, first, second):
-            jobs.add_model(record)
-        assert jobs.models() == [first, second, third]
+            jobs.models.add(record)
+        assert jobs.models.all() == [first, second, third]
         database.change("UPDATE models SET description = '{}' WHERE id = %s", second.id)
         with capture_logs() as said:
-            assert [record.status for record in jobs.models()] == ["ready", "refused", "ready"]
-            found = jobs.find_model(second.id)
+            assert [record.status for record in jobs.models.all()] == ["ready", "refused", "ready"]
+            found = jobs.models.find(second.id)
         assert (found.status, found.description) == ("refused", None)
         assert "send it again" in (found.message or "")
-        assert [(entry["event"], entry["model"]) for entry in said] == [("model_unreadable", second.id)] * 2
+        assert [(entry["event"], entry["upload"]) for entry in said] == [("upload_unreadable", second.id)] * 2
+
+
+class TestClips:
+    """Clip files are kept as models are; here is what they have besides."""
+
+    def test_what_was_added_is_read_back_equal(self, jobs: JobStore) -> None:
+        facts = ClipFacts(name="walk", num_frames=3, rate=50.0, seconds=0.04, warnings=["It slides."])
+        described = ClipsDescription(format="csv", clips=[facts], joints=["hip"])
+        jobs.clips.add(file := clip_file(rate=50.0, description=described))
+        assert jobs.clips.find(CLIPS) == file
+        with pytest.raises(ModelNotFound):
+            jobs.models.find(CLIPS)
+
+    def test_one_that_waits_for_its_validation_is_to_be_dispatched(self, jobs: JobStore) -> None:
+        jobs.clips.add(clip_file(status="validating"))
+        jobs.models.add(model(status="validating"))
+        assert set(jobs.undispatched()) == {Dispatch("clips", CLIPS), Dispatch("model", MODEL)}
+        assert set(jobs.waiting()) == set(jobs.undispatched())
+        assert (jobs.clips.num_waiting(), jobs.models.num_waiting()) == (1, 1)
+        jobs.clips.dispatched(CLIPS)
+        assert jobs.undispatched() == [Dispatch("model", MODEL)]
+
+    def test_unfinished_jobs_use_them(self, jobs: JobStore) -> None:
+        choices = [{"file": CLIPS}, {"file": CLIPS.replace("c", "d")}, {"file": CLIPS}]
+        job = queued_job(environment={"id": "ant", "options": {"reference": {"clips": choices}}})
+        jobs.add(job)
+        assert jobs.users_of(CLIPS) == jobs.users_of(CLIPS.replace("c", "d")) == [job.id]
+        assert jobs.users_of(CLIPS.replace("c", "e")) == []
+        jobs.save(cancelled(job))
+        assert jobs.users_of(CLIPS) == []
 
 
 class TestUnreadable:

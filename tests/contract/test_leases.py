@@ -364,9 +364,9 @@ class TestDispatches:
         jobs.save(cancelled(ended))
         held(jobs, queued_job(4))
         jobs.dispatched([Dispatch("attempt", told.id, 1)])
-        jobs.add_model(model(status="validating"))
-        jobs.model_dispatched(MODEL)
-        jobs.add_model(model(MODEL.replace("0", "1")))
+        jobs.models.add(model(status="validating"))
+        jobs.models.dispatched(MODEL)
+        jobs.models.add(model(MODEL.replace("0", "1")))
         assert jobs.waiting() == [
             Dispatch("attempt", told.id, 1),
             Dispatch("attempt", untold.id, 1),
@@ -395,7 +395,7 @@ class TestCounts:
         later = held(jobs, queued_job(12, resources={"accelerator": "cpu"}))
         paused = later.requeued(Reason.NATIVE_CRASH, "", NOW, not_before=jobs.now() + timedelta(minutes=1))
         jobs.save(paused)
-        jobs.add_model(model(status="validating"))
+        jobs.models.add(model(status="validating"))
         counts = {one.queue: (one.queued, one.running) for one in jobs.queue_counts()}
         assert counts == {
             "gaitway-any-normal": (1, 1),

@@ -212,17 +212,17 @@ class TestLostAnswers:
             partial(jobs.beat, LEASE),
             partial(jobs.patch, job.id, JobPatch(name="b")),
             partial(jobs.dispatched, [Dispatch("attempt", waiting.id, 1)]),
-            partial(jobs.add_model, model(status="validating")),
-            partial(jobs.model_dispatched, MODEL),
-            partial(jobs.settle_model, model()),
-            partial(jobs.delete_model, MODEL),
+            partial(jobs.models.add, model(status="validating")),
+            partial(jobs.models.dispatched, MODEL),
+            partial(jobs.models.settle, model()),
+            partial(jobs.models.delete, MODEL),
             partial(jobs.announce, worker("a"), LEASE),
             partial(jobs.withdraw, "a"),
         ):
             with unsure.losing_answer():
                 write()
             write()
-        assert (list(jobs.models()), list(jobs.workers()), jobs.undispatched()) == ([], [], [])
+        assert (list(jobs.models.all()), list(jobs.workers()), jobs.undispatched()) == ([], [], [])
 
 
 class TestLostRequests:

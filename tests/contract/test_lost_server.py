@@ -28,7 +28,7 @@ from core.jobs.tallies import Tally
 from core.jobs.turns import Quota
 from core.jobs.usage import UsageStore
 from core.jobs.workers import WorkerStore
-from core.user_models.record import ModelStore
+from core.uploads.record import UploadStore
 from gaitway.service.embedded.postgres import Postgres
 from tests.contract.recording import (
     LEASE,
@@ -69,7 +69,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "list": lambda jobs: jobs.list(JobQuery()),
         "expired": lambda jobs: list(jobs.expired()),
         "beat": lambda jobs: jobs.beat(LEASE),
-        "name_model": lambda jobs: jobs.name_model(MODEL, "a dog"),
+        "models.rename": lambda jobs: jobs.models.rename(MODEL, "a dog"),
         "waiting": lambda jobs: jobs.waiting(),
         "take_turn": lambda jobs: jobs.take_turn(["q"], "w", now=NOW, lease=LEASE, secret="s"),
         "make_room": lambda jobs: jobs.make_room(),
@@ -116,19 +116,19 @@ def calls(job: Job) -> Mapping[str, Call]:
         "list_workers": lambda jobs: jobs.list_workers(),
         "tidy": lambda jobs: jobs.tidy(),
         "ping": lambda jobs: jobs.ping(),
-        "find_model": lambda jobs: jobs.find_model(MODEL),
-        "add_model": lambda jobs: jobs.add_model(model()),
-        "model_dispatched": lambda jobs: jobs.model_dispatched(MODEL),
-        "settle_model": lambda jobs: jobs.settle_model(model()),
-        "delete_model": lambda jobs: jobs.delete_model(MODEL),
-        "num_waiting_models": lambda jobs: jobs.num_waiting_models(),
-        "models": lambda jobs: jobs.models(),
-        "list_models": lambda jobs: jobs.list_models(),
+        "models.find": lambda jobs: jobs.models.find(MODEL),
+        "models.add": lambda jobs: jobs.models.add(model()),
+        "models.dispatched": lambda jobs: jobs.models.dispatched(MODEL),
+        "models.settle": lambda jobs: jobs.models.settle(model()),
+        "models.delete": lambda jobs: jobs.models.delete(MODEL),
+        "models.num_waiting": lambda jobs: jobs.models.num_waiting(),
+        "models.all": lambda jobs: jobs.models.all(),
+        "models.list": lambda jobs: jobs.models.list(),
         "queues_of_several_hosts": lambda jobs: jobs.queues_of_several_hosts(),
         "owner_of": lambda jobs: jobs.owner_of(job.id),
-        "claim_model": lambda jobs: jobs.claim_model(MODEL, NOBODYS),
-        "owners_of_models": lambda jobs: jobs.owners_of_models([MODEL]),
-        "release_model": lambda jobs: jobs.release_model(MODEL, ["default"]),
+        "models.claim": lambda jobs: jobs.models.claim(MODEL, NOBODYS),
+        "models.owners_of": lambda jobs: jobs.models.owners_of([MODEL]),
+        "models.release": lambda jobs: jobs.models.release(MODEL, ["default"]),
     }
 
 
@@ -187,8 +187,9 @@ def eventually(call: Callable[[], object]) -> object:
 
 
 def test_every_method_of_the_record_is_called_here() -> None:
-    kinds = (JobStore, ModelStore, QuotaStore, RetentionStore, UsageStore, WorkerStore)
+    kinds = (JobStore, QuotaStore, RetentionStore, UsageStore, WorkerStore)
     methods = {name for kind in kinds for name in vars(kind) if not name.startswith("_")}
+    methods |= {f"models.{name}" for name in vars(UploadStore) if not name.startswith("_") and name != "kind"}
     assert methods == set(calls(queued_job().claimed("w", queued_job().created_at)))
 
 

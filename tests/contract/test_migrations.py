@@ -38,6 +38,7 @@ from tests.contract.recording import (
     Database,
     artifact,
     chunk_of,
+    clip_file,
     held,
     model,
     queued_job,
@@ -112,8 +113,10 @@ def fill(engine: Engine) -> Job:
     jobs.replace_by_chunk(claimed.id, chunk_of(jobs.oldest_entries(claimed.id, "logs", limit=1)))
     row = Entry(kind="metrics", time=NOW, data={"step": 1, "values": {"reward": 1.0}})
     jobs.record(claimed.id, claimed.token, "events", [row], write_id="w")
-    jobs.add_model(record := model(status="validating"))
-    jobs.claim_model(record.id, NOBODYS)
+    jobs.models.add(record := model(status="validating"))
+    jobs.models.claim(record.id, NOBODYS)
+    jobs.clips.add(file := clip_file(status="validating"))
+    jobs.clips.claim(file.id, NOBODYS)
     if not jobs.users():
         user = jobs.add_user(
             User(name="ann", role=Role.ADMIN, projects=("default",), created_at=NOW), Actor()

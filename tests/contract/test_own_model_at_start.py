@@ -22,7 +22,7 @@ def test_its_size_and_the_engines_that_cannot_run_it(job_store: PostgresJobStore
     objects.put(keys.model_source(MODEL), SENT)
     sizes = DESCRIPTION.inventory.sizes.model_copy(update={"nv": 14})
     inventory = DESCRIPTION.inventory.model_copy(update={"sizes": sizes, "num_pairs": 4})
-    job_store.add_model(model(MODEL, description=DESCRIPTION.model_copy(update={"inventory": inventory})))
+    job_store.models.add(model(MODEL, description=DESCRIPTION.model_copy(update={"inventory": inventory})))
     environment = {"id": "mjcf", "options": {"model": MODEL, "reward": [{"kind": "alive"}]}}
     job = held(job_store, queued_job(environment=environment))
     assert write_task(job, Claim(job.id, 1, job.token, job_store, objects), "cpu", tmp_path) == []

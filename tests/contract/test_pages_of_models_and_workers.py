@@ -31,47 +31,47 @@ class TestModels:
             model(MODEL.replace("0", digit), created_at=at) for digit, at in zip("24135", sent, strict=True)
         ]
         for record in made:
-            jobs.add_model(record)
-        found = [list(page.models) for page in pages(jobs.list_models, 2)]
+            jobs.models.add(record)
+        found = [list(page.uploads) for page in pages(jobs.models.list, 2)]
         assert found == [[made[4], made[3]], [made[2], made[1]], [made[0]]]
 
     def test_models_of_one_name_are_listed_alone(self, jobs: JobStore) -> None:
         made = [model(MODEL.replace("0", digit), name=name) for digit, name in zip("123", "aba", strict=True)]
         for record in made:
-            jobs.add_model(record)
-        found = [list(page.models) for page in pages(partial(jobs.list_models, name="a"), 1)]
+            jobs.models.add(record)
+        found = [list(page.uploads) for page in pages(partial(jobs.models.list, name="a"), 1)]
         assert found == [[made[2]], [made[0]]]
 
     def test_a_name_that_is_given_during_the_validation_stays(self, jobs: JobStore) -> None:
         record = model(name="one")
-        jobs.add_model(record)
-        jobs.name_model(record.id, "two")
-        jobs.settle_model(record.model_copy(update={"status": "refused"}))
-        found = jobs.find_model(record.id)
+        jobs.models.add(record)
+        jobs.models.rename(record.id, "two")
+        jobs.models.settle(record.model_copy(update={"status": "refused"}))
+        found = jobs.models.find(record.id)
         assert (found.name, found.status) == ("two", "refused")
         with pytest.raises(ModelNotFound):
-            jobs.name_model(MODEL.replace("0", "9"), "two")
+            jobs.models.rename(MODEL.replace("0", "9"), "two")
 
     def test_a_full_last_page_has_no_next_one(self, jobs: JobStore) -> None:
         for digit in "12":
-            jobs.add_model(model(MODEL.replace("0", digit)))
-        assert len(list(pages(jobs.list_models, 2))) == 1
-        assert len(list(pages(jobs.list_models, 1))) == 2
+            jobs.models.add(model(MODEL.replace("0", digit)))
+        assert len(list(pages(jobs.models.list, 2))) == 1
+        assert len(list(pages(jobs.models.list, 1))) == 2
 
     def test_the_next_page_is_there_although_the_model_of_its_cursor_was_deleted(
         self, jobs: JobStore
     ) -> None:
         made = [model(MODEL.replace("0", digit)) for digit in "321"]
         for record in made:
-            jobs.add_model(record)
-        first = jobs.list_models(limit=1)
-        jobs.delete_model(made[0].id)
-        assert list(jobs.list_models(cursor=first.next_cursor, limit=5).models) == made[1:]
+            jobs.models.add(record)
+        first = jobs.models.list(limit=1)
+        jobs.models.delete(made[0].id)
+        assert list(jobs.models.list(cursor=first.next_cursor, limit=5).uploads) == made[1:]
 
     @pytest.mark.parametrize("cursor", [*NONSENSE, MODEL, "a:cpu:1"])
     def test_another_cursor_is_refused(self, jobs: JobStore, cursor: str) -> None:
         with pytest.raises(Rejected, match="not one that this listing gave") as refused:
-            jobs.list_models(cursor=cursor)
+            jobs.models.list(cursor=cursor)
         assert [problem.pointer for problem in refused.value.problems] == ["/cursor"]
 
 

@@ -121,8 +121,8 @@ def test_bytes_are_those_of_files_of_jobs_and_of_models_that_are_there(jobs: Job
     jobs.save(claimed := job.claimed("worker-1", utc_now()), lease=LEASE)
     jobs.save(kept := claimed.with_artifacts((artifact("a", size=30), artifact("b", size=12))))
     jobs.add(of(queued_job(1)).with_artifacts((artifact("c", size=5),)))
-    jobs.add_model(model(size=7))
-    jobs.claim_model(MODEL, ANN)
+    jobs.models.add(model(size=7))
+    jobs.models.claim(MODEL, ANN)
     assert used(jobs).use.bytes == 30 + 12 + 5 + 7
     jobs.save(fewer := kept.without_artifacts(kept.artifacts[:1]))
     (found,) = jobs.quota_uses(ANN, ["bytes"])
@@ -132,7 +132,7 @@ def test_bytes_are_those_of_files_of_jobs_and_of_models_that_are_there(jobs: Job
     ended = fewer.requeued(Reason.WORKER_LOST, "", utc_now())
     jobs.save(ended)
     jobs.delete(ended.id, ended.version)
-    jobs.release_model(MODEL, ["gaits"])
+    jobs.models.release(MODEL, ["gaits"])
     assert used(jobs).use.bytes == 5
 
 

@@ -50,8 +50,8 @@ def test_a_worker_runs_a_job_from_its_claim_to_its_end(
     claim.publish((artifact("1.ckpt"),), keep_checkpoints=5)
     claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "It came to its end.")
     assert job_store.get(job.id).status == JobStatus.SUCCEEDED
-    job_store.add_model(record := model(status="validating"))
-    as_worker.settle_model(record.model_copy(update={"status": "refused", "message": "no"}))
+    job_store.models.add(record := model(status="validating"))
+    as_worker.models.settle(record.model_copy(update={"status": "refused", "message": "no"}))
     as_worker.withdraw("w")
 
 

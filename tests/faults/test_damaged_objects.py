@@ -23,7 +23,8 @@ from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.storage import keys
-from core.user_models import library
+from core.uploads import library
+from core.user_models.record import MODELS
 from gaitway.service.embedded.weed import REGION, Weed
 from tests.api.conftest import NOWHERE, serving
 from tests.contract.recording import NOW, artifact, held, model, queued_job, say
@@ -221,7 +222,7 @@ def test_a_job_whose_model_cannot_be_read_says_what_to_do(
 ) -> None:
     body = body_of(100_000, 6)
     digest = hashlib.sha256(body).hexdigest()
-    job_store.add_model(model(f"sha256:{digest}"))
+    job_store.models.add(model(f"sha256:{digest}"))
     key = keys.model_source(f"sha256:{digest}")
     object_store.put(key, body)
     environment = {"id": "mjcf", "options": {"model": f"sha256:{digest}"}}
@@ -235,7 +236,7 @@ def test_a_job_whose_model_cannot_be_read_says_what_to_do(
     assert failed.value.reason == Reason.BAD_MODEL
     began = time.monotonic()
     with pytest.raises(ObjectNotFound):  # As a validation and a preview read it.
-        library.source(f"sha256:{digest}", claim.objects)
+        library.source(job_store.models.find(f"sha256:{digest}"), MODELS, claim.objects)
     assert time.monotonic() - began < WITHIN_S
 
 

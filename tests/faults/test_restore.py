@@ -106,7 +106,7 @@ def test_what_the_bucket_lacks_is_listed_by_job_and_marked(
     compact(worker)
     worker.say(claim, "logs", "line 901")
     empty = worker.run(steps=1)
-    store.add_model(model(1, store))
+    store.models.add(model(1, store))
     [part] = [chunk.key for chunk in store.chunks([claim.job_id])[claim.job_id] if chunk.channel == "logs"]
     objects.delete([lost.key, part])
     objects.delete_prefix(keys.job(empty.id))
@@ -129,7 +129,7 @@ def test_what_the_bucket_lacks_is_listed_by_job_and_marked(
     note = f"Lost from the object store, and removed from the record: {empty.artifacts[0].name}."
     assert texts(empty.id, store, objects, "events")[-1] == note
     with pytest.raises(ModelNotFound):
-        store.find_model(model(1, store).id)
+        store.models.find(model(1, store).id)
     # The job that runs goes on from what there is, under the same attempt.
     assert store.get(claim.job_id).artifacts == (kept,)
     worker.checkpoint(claim, 3)
@@ -145,7 +145,7 @@ def test_what_no_record_names_is_listed_and_stays(
 ) -> None:
     claim = worker.begin(worker.submit())
     worker.checkpoint(claim, 1)
-    worker.store.add_model(model(1, worker.store))
+    worker.store.models.add(model(1, worker.store))
     worker.objects.put(keys.model_source(model(1, worker.store).id), b"x")
     ended = worker.run()
     compact(worker)

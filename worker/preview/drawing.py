@@ -20,8 +20,8 @@ from core.previews.record import PreviewRequest
 from core.rendering.gl import DRIVER_CRASHES, RenderingFailed, backends, no_gl
 from core.rendering.request import RenderFailure
 from core.settings import Confinement
-from core.storage.objects import ObjectStore
-from core.user_models import library as models_library
+from core.storage import keys
+from core.storage.objects import ObjectStore, read_whole
 from core.variables import variable
 from worker.host.child import environment, kill, launch, tail
 from worker.host.disk import read_plain
@@ -49,7 +49,8 @@ def draw(
         return
     if request.model:
         try:
-            (folder / "model").write_bytes(models_library.source(request.model, objects))
+            sha256 = request.model.removeprefix("sha256:")
+            (folder / "model").write_bytes(read_whole(keys.model_source(request.model), sha256, objects))
         except ObjectDamaged as error:
             message = f"The stored model is damaged: {error.why}. Delete it, and send it again."
             failure = RenderFailure(reason="bad_request", message=message)

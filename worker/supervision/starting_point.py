@@ -18,7 +18,7 @@ from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore, save_whole
-from core.user_models import library
+from core.uploads import library
 from worker.host.commit import commit_here
 from worker.protocol import BestSoFar, Task
 
@@ -160,7 +160,7 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
     if model_id is None:
         return task
     try:
-        record = library.find(model_id, claim.store)
+        record = library.find(model_id, claim.store.models)
         sha256 = model_id.removeprefix("sha256:")
         save_whole(keys.model_source(model_id), sha256, claim.objects, spool / "model")
     except ObjectDamaged as error:

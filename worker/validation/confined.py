@@ -16,8 +16,8 @@ from core.jobs.job import utc_now
 from core.physics.availability import EngineName
 from core.storage import keys
 from core.storage.objects import ObjectStore
-from core.user_models import library
-from core.user_models.record import ModelStore
+from core.uploads import library
+from core.user_models.record import MODELS, ModelStore
 from worker.confinement.confinement import Limits
 from worker.host.child import environment, kill, launch, tail
 from worker.validation.answer import ModelAnswer, read_answer
@@ -63,7 +63,7 @@ def validate(  # noqa: PLR0913 # Which model, and the places that are needed.
     if record.status != "validating":
         return
     try:
-        body = library.source(model_id, objects)
+        body = library.source(record, MODELS, objects)
     except ObjectDamaged as error:
         answers = iter([ModelAnswer(refusal=f"The stored model is damaged: {error.why}. Send it again.")])
     except ObjectNotFound:  # It was interrupted before its last step, or somebody is deleting the model.
@@ -77,7 +77,7 @@ def validate(  # noqa: PLR0913 # Which model, and the places that are needed.
         else:
             told = {"status": "refused", "message": answer.refusal, "refused_at": utc_now()}
             found = record.model_copy(update=told)
-        store.settle_model(found)  # Raises if somebody has deleted it meanwhile.
+        store.settle(found)  # Raises if somebody has deleted it meanwhile.
         if found.status == "refused":
             objects.delete_prefix(keys.model_source(model_id))
         log.info(

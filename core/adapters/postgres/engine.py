@@ -124,11 +124,12 @@ def _refuse_closed(connection: PromptConnection, record: ConnectionPoolEntry, _:
 class Session:
     """Reaches the database for the classes with statements. The engine comes from `connect_postgres`."""
 
-    def __init__(self, engine: Engine, observe: Observe = unobserved) -> None:
+    def __init__(self, engine: Engine, observe: Observe = unobserved, breaker: Breaker | None = None) -> None:
+        """breaker: of another session with the same engine, of whose failures this one then knows."""
         self._engine = engine
         self._observe = observe
         self._autocommit = engine.execution_options(isolation_level="AUTOCOMMIT")
-        self._breaker = Breaker()
+        self._breaker = breaker or Breaker()
 
     @contextmanager
     def _transaction(self, *, is_large: bool = False) -> Generator[Connection]:

@@ -18,6 +18,7 @@ from sqlalchemy import (
     delete,
     exists,
     literal,
+    or_,
     select,
     union_all,
     update,
@@ -206,8 +207,11 @@ class JobQueries(Session):
             found = connection.execute(_MARKS_OF, {"ids": [*job_ids]}).all()
         return {row.id: Mark(row.version, row.num_events, row.num_logs) for row in found}
 
-    def users_of(self, model_id: str) -> Sequence[str]:
-        wanted = select(jobs.c.id).where(jobs.c.status.in_(UNFINISHED), jobs.c.model == model_id)
+    def users_of(self, upload_id: str) -> Sequence[str]:
+        wanted = select(jobs.c.id).where(
+            jobs.c.status.in_(UNFINISHED),
+            or_(jobs.c.model == upload_id, literal(upload_id) == any_(jobs.c.clip_files)),
+        )
         with self._statements() as connection:
             return connection.execute(wanted.order_by(jobs.c.id)).scalars().all()
 

@@ -31,11 +31,10 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import insert
 
-from core.adapters.postgres import models
+from core.adapters.postgres import uploads
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.rows import HELD, age_s, interval, jobs_of_rows
 from core.adapters.postgres.tables import NOW, UNFINISHED, attempts, dispatches, jobs, pulse
-from core.adapters.postgres.tables import models as models_table
 from core.errors import LeaseLost
 from core.jobs.attempts import PAUSES
 from core.jobs.job import Job, UnreadableJob
@@ -125,7 +124,7 @@ class LeaseQueries(Session):
         with self._statements() as connection:
             held_back = connection.execute(_HELD_BACK, {"held": list(HELD)}).all()
             of_jobs = _waiting(connection, room, but_not, [(row.kind, row.name) for row in held_back])
-            return [*of_jobs, *models.waiting(connection)]
+            return [*of_jobs, *uploads.waiting(connection)]
 
     def queue_counts(self) -> Sequence[QueueCount]:
         with self._statements() as connection:
@@ -242,9 +241,13 @@ def _queue_counts() -> Any:
         .group_by(jobs.c.queue)
         .having(func.count().filter(or_(is_queued, jobs.c.status.in_(HELD))) > 0)
     )
-    of_models = (
-        select(literal(MODELS), func.count(), literal(0), age_s(func.min(models_table.c.created_at)))
-        .where(models_table.c.status == "validating")
-        .having(func.count() > 0)
+    sent = union_all(
+        *(
+            select(table.uploads.c.created_at).where(table.uploads.c.status == "validating")
+            for table in uploads.TABLES.values()
+        )
+    ).subquery()
+    of_uploads = select(literal(MODELS), func.count(), literal(0), age_s(func.min(sent.c.created_at))).having(
+        func.count() > 0
     )
-    return union_all(of_jobs, of_models)
+    return union_all(of_jobs, of_uploads)

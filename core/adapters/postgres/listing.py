@@ -30,10 +30,10 @@ from core.errors import JobNotFound, Problem, Rejected
 from core.jobs.job import check_job_id
 from core.jobs.store import FOLDED, NO_SWEEP, JobQuery, Whose
 from core.jobs.workers import WORKER_NAME
-from core.user_models.record import ModelRecord
+from core.uploads.record import Upload
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_MODEL = re.compile(r"([0-9]{1,17})-(sha256:[0-9a-f]{64})")
+_UPLOAD = re.compile(r"([0-9]{1,17})-(sha256:[0-9a-f]{64})")
 # How many of the newest jobs are checked one by one, which takes 5 ms.
 _NEAR = 20_000
 _MOST_BYTES = 2**22
@@ -48,14 +48,14 @@ def check_cursor(cursor: str) -> str:
         raise refusal() from None
 
 
-def model_cursor(record: ModelRecord) -> str:
-    """When the last model of a page was sent, in microseconds since 1970, and its id."""
+def upload_cursor(record: Upload) -> str:
+    """When the last upload of a page was sent, in microseconds since 1970, and its id."""
     return f"{(record.created_at - _EPOCH) // timedelta(microseconds=1)}-{record.id}"
 
 
-def check_model_cursor(cursor: str) -> tuple[datetime, str]:
-    """The moment and the id of a cursor made by `model_cursor`. Raises Rejected."""
-    found = _MODEL.fullmatch(cursor)
+def check_upload_cursor(cursor: str) -> tuple[datetime, str]:
+    """The moment and the id of a cursor made by `upload_cursor`. Raises Rejected."""
+    found = _UPLOAD.fullmatch(cursor)
     if found is None:
         raise refusal()
     return _EPOCH + timedelta(microseconds=int(found[1])), found[2]

@@ -33,6 +33,7 @@ from core.jobs.patch import JobPatch
 from core.jobs.queue import queue_of
 from core.jobs.spec import JOB_SPEC, Source, TrainSpec
 from core.jobs.status import JobStatus
+from core.jobs.uploads import clip_files_of
 
 Values = dict[str, Any]
 HELD = tuple(status.value for status in JobStatus if status.is_held)
@@ -128,6 +129,7 @@ def new_job_values(job: Job) -> Values:
         "labels": spec.labels,
         "note": spec.note,
         "model": _text(spec.environment.options.get("model")),
+        "clip_files": list(clip_files_of(spec.environment)),
         "preemptible": isinstance(spec, TrainSpec) and spec.preemptible,
         "source": None if spec.source is None else spec.source.job,
         "source_step": None if spec.source is None else spec.source.step,

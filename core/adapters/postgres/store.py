@@ -9,7 +9,6 @@ from core.adapters.postgres.engine import Clock
 from core.adapters.postgres.feeds import FeedQueries
 from core.adapters.postgres.jobs import JobQueries
 from core.adapters.postgres.leases import LeaseQueries
-from core.adapters.postgres.models import ModelQueries
 from core.adapters.postgres.news import NewsQueries, forget_old, forget_old_secrets
 from core.adapters.postgres.peaks import PeakQueries, forget_old_peaks
 from core.adapters.postgres.preemption import PreemptionQueries
@@ -18,9 +17,12 @@ from core.adapters.postgres.retention import RetentionQueries
 from core.adapters.postgres.sweeps import SweepQueries
 from core.adapters.postgres.tables import NOW, idempotency_keys, pulse, workers
 from core.adapters.postgres.turns import TurnQueries
+from core.adapters.postgres.uploads import UploadQueries
 from core.adapters.postgres.usage import UsageQueries, fold
 from core.adapters.postgres.workers import WorkerQueries
 from core.adapters.timing import Observe, unobserved
+from core.clips.record import CLIPS
+from core.user_models.record import MODELS
 
 # Built once: it is a part of every claim.
 _SELECT_NOW = select(NOW)
@@ -30,7 +32,6 @@ class PostgresJobStore(
     JobQueries,
     LeaseQueries,
     FeedQueries,
-    ModelQueries,
     NewsQueries,
     PeakQueries,
     PreemptionQueries,
@@ -57,6 +58,8 @@ class PostgresJobStore(
     ) -> None:
         super().__init__(engine, observe)
         self._clock = Clock(self._time, clock_age)
+        self.models = UploadQueries(MODELS, engine, observe, self._breaker)
+        self.clips = UploadQueries(CLIPS, engine, observe, self._breaker)
 
     def now(self) -> datetime:
         return self._clock.now()

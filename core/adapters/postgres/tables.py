@@ -8,7 +8,7 @@ entries     the newest part of each feed, until it is moved into a chunk
 metrics     the newest metrics of each job in blocks, with numbers among those of its events; likewise
 dispatches  messages for RQ that are not sent yet; written in the transaction that makes them necessary
 deletions   jobs that were deleted, until the objects of each are gone
-models      users' own models, by the hash of their bytes
+models, clip_files   users' own models, and files of clips, by a hash
 workers     the last announcement of each worker
 idempotency_keys   the submissions of the last day that came with a key
 sweeps      one row per sweep; `key_hash` is that of the idempotency key that its submission came with
@@ -20,7 +20,7 @@ shares      what users have used of late: sums of one moment, which are halved b
 quotas      what users and projects may have (`core.jobs.quotas`)
 pulse       one row: when the reconciler last reached this database
 users, projects, members   who may use the service, and who sees what
-model_projects   the projects in which a model was sent, each with who sent it there first
+model_projects, clip_file_projects   the projects in which each was sent, with who sent it there first
 tokens      API tokens, by a public id and the hash of the whole
 sessions    who is signed in on the page, as tokens
 audit       what was done; a trigger forbids to change or remove a row
@@ -92,6 +92,8 @@ jobs = Table(
     Column("labels", JSONB, nullable=False),
     Column("note", Text),
     Column("model", Text),
+    # The ids of the clip files that its options name.
+    Column("clip_files", ARRAY(Text), nullable=False, server_default="{}"),
     Column("source", Text),
     Column("source_step", BigInteger),
     Column("spec", Text, nullable=False),
@@ -258,21 +260,35 @@ deletions = Table(
     _moment("begun_at", nullable=False),
 )
 
-models = Table(
-    "models",
-    metadata,
-    Column("id", Text, primary_key=True),
-    Column("status", Text, nullable=False),
-    Column("media_type", Text, nullable=False),
-    Column("size", BigInteger, nullable=False),
-    _moment("created_at", nullable=False),
-    Column("description", Text),
-    Column("message", Text),
-    _moment("refused_at"),
-    Column("name", Text),
+
+def _uploads(name: str, *more: Column[Any]) -> Table:
+    """The table of one kind of files that users send, with further columns of that kind."""
+    table = Table(
+        name,
+        metadata,
+        Column("id", Text, primary_key=True),
+        Column("status", Text, nullable=False),
+        Column("media_type", Text, nullable=False),
+        Column("size", BigInteger, nullable=False),
+        _moment("created_at", nullable=False),
+        Column("description", Text),
+        Column("message", Text),
+        _moment("refused_at"),
+        Column("name", Text),
+        *more,
+    )
+    Index(f"{name}_by_status", table.c.status)
+    Index(f"{name}_by_name", table.c.name, postgresql_where=table.c.name.isnot(None))
+    return table
+
+
+models = _uploads("models")
+clip_files = _uploads(
+    "clip_files",
+    Column("sha256", Text, nullable=False),
+    Column("body", Text, nullable=False),
+    Column("rate", Double),
 )
-Index("models_by_status", models.c.status)
-Index("models_by_name", models.c.name, postgresql_where=models.c.name.isnot(None))
 
 workers = Table(
     "workers",
@@ -421,13 +437,19 @@ members = Table(
 )
 Index("members_by_user", members.c.user_name)
 
-model_projects = Table(
-    "model_projects",
-    metadata,
-    Column[Any]("model_id", ForeignKey(models.c.id, ondelete="CASCADE"), primary_key=True),
-    Column("project", Text, primary_key=True),
-    Column("owner", Text),
-)
+
+def _projects_of(name: str, upload: str, uploads: Table) -> Table:
+    return Table(
+        name,
+        metadata,
+        Column[Any](upload, ForeignKey(uploads.c.id, ondelete="CASCADE"), primary_key=True),
+        Column("project", Text, primary_key=True),
+        Column("owner", Text),
+    )
+
+
+model_projects = _projects_of("model_projects", "model_id", models)
+clip_file_projects = _projects_of("clip_file_projects", "clip_file_id", clip_files)
 
 tokens = Table(
     "tokens",

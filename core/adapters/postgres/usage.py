@@ -33,12 +33,11 @@ from core.adapters.postgres.tables import (
     UNFINISHED,
     attempts,
     jobs,
-    model_projects,
-    models,
     pulse,
     tallies,
     usage,
 )
+from core.adapters.postgres.uploads import TABLES as UPLOADS
 from core.jobs.job import Job
 from core.jobs.pools import GIVEN
 from core.jobs.slots import kind_of_queue
@@ -271,17 +270,20 @@ def running_attempts(connection: Connection) -> list[RunningAttempt]:
 
 
 def stored_bytes(connection: Connection, who: Mapping[str, Any] | None = None) -> Sequence[Any]:
-    """The bytes of jobs' files and of models, by `project` and `owner`; who: as for `concerning`.
+    """The bytes of jobs' files, of models and of clip files, by `project` and `owner`.
+
+    who: as for `concerning`.
 
     A job's row has the sum over its files, so that no row of a file is read.
     """
     files = select(jobs.c.project, jobs.c.owner, jobs.c.bytes).where(jobs.c.bytes > 0, *concerning(jobs, who))
-    of_models = (
-        select(model_projects.c.project, model_projects.c.owner, models.c.size.label("bytes"))
-        .join(models, models.c.id == model_projects.c.model_id)
-        .where(*concerning(model_projects, who))
+    sent = (
+        select(one.projects.c.project, one.projects.c.owner, one.uploads.c.size.label("bytes"))
+        .join(one.uploads, one.uploads.c.id == one.upload)
+        .where(*concerning(one.projects, who))
+        for one in UPLOADS.values()
     )
-    found = union_all(files, of_models).subquery()
+    found = union_all(files, *sent).subquery()
     owner = func.coalesce(found.c.owner, "").label("owner")
     wanted = select(found.c.project, owner, func.sum(found.c.bytes).label("bytes"))
     return connection.execute(wanted.group_by(found.c.project, owner), who or {}).all()

@@ -24,6 +24,7 @@ RIGHTS = {
     "metrics": "SELECT, INSERT, UPDATE",
     "dispatches": _ALL,
     "models": "SELECT, UPDATE",
+    "clip_files": "SELECT, UPDATE",
     "workers": _ALL,
     "pulse": "SELECT",
     "news": "INSERT",

@@ -21,9 +21,13 @@ from core.adapters.timing import Observe, timed, unobserved
 from core.errors import Unavailable
 from core.jobs.queue import MODELS, PREVIEWS
 from core.previews.record import PreviewRequest
+from core.uploads.record import KindName
 
 TASK = "worker.tasks.run_attempt"
-MODEL_TASK = "worker.tasks.validate_model"
+UPLOAD_TASKS: Mapping[KindName, str] = {
+    "model": "worker.tasks.validate_model",
+    "clips": "worker.tasks.validate_clips",
+}
 PREVIEW_TASK = "worker.tasks.draw_preview"
 # Nobody needs RQ's view of a failure: the record says why an attempt ended.
 _KEEP_FAILURES = timedelta(minutes=1)
@@ -52,8 +56,8 @@ def _reaching(
 class RQQueue:
     """A JobQueue whose workers are RQ's.
 
-    They call `TASK` with a job's id and the attempt, `MODEL_TASK` with a model's id, and `PREVIEW_TASK` with
-    a request as JSON.
+    They call `TASK` with a job's id and the attempt, one of `UPLOAD_TASKS` with a file's
+    id, and `PREVIEW_TASK` with a request as JSON.
     """
 
     def __init__(self, client: "Redis", observe: Observe = unobserved) -> None:
@@ -108,12 +112,12 @@ class RQQueue:
         self._remove(_rq_id(job_id, attempt))
 
     @_reaching
-    def enqueue_model(self, model_id: str) -> None:
-        self._enqueue(MODELS, _model_rq_id(model_id), MODEL_TASK, (model_id,))
+    def enqueue_upload(self, kind: KindName, upload_id: str) -> None:
+        self._enqueue(MODELS, _upload_rq_id(upload_id), UPLOAD_TASKS[kind], (upload_id,))
 
     @_reaching
-    def contains_model(self, model_id: str) -> bool:
-        return self._contains(_model_rq_id(model_id))
+    def contains_upload(self, kind: KindName, upload_id: str) -> bool:
+        return self._contains(_upload_rq_id(upload_id))
 
     @_reaching
     def enqueue_preview(self, request: PreviewRequest) -> None:
@@ -235,8 +239,9 @@ def _attempts(rq_ids: Set[str]) -> Set[tuple[str, int]]:
     return {(part[0], int(part[1])) for part in parts if len(part) in (2, 3) and part[1].isdecimal()}
 
 
-def _model_rq_id(model_id: str) -> str:
-    return model_id.replace(":", "-")
+def _upload_rq_id(upload_id: str) -> str:
+    """No two kinds have an id in common."""
+    return upload_id.replace(":", "-")
 
 
 def _preview_rq_id(preview_id: str) -> str:

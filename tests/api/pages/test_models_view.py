@@ -115,7 +115,7 @@ def test_the_document_of_a_zip_that_is_the_model_can_be_named(stack: Stack, tab:
         page.get_by_role("button", name="Send two.zip again").click()
         expect(page.get_by_role("status")).to_have_text("two.zip is there, read from b.xml.")
     expect(page.locator(".card").get_by_text("read from b.xml")).to_be_visible()
-    (model,) = stack.store.models()
+    (model,) = stack.store.models.all()
     assert examine(stack.objects.get(keys.model_source(model.id))).main == "b.xml"
     assert tab.violations() == []
 

@@ -303,7 +303,7 @@ def test_models_and_workers_come_page_by_page_and_jobs_wait_for_all_workers(stac
         record = ModelRecord(
             id=f"sha256:{number:064x}", status="ready", media_type="application/xml", size=7, created_at=sent
         )
-        stack.store.add_model(record)
+        stack.store.models.add(record)
     stack.store.add(job())
     page = tab.open("#/workers")
     expect(page.get_by_role("heading", level=2)).to_have_count(51)  # 50 workers, and the queue

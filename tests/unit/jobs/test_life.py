@@ -628,12 +628,12 @@ def test_two_reconcilers_at_once_take_a_job_back_once(service: Service) -> None:
 
 def test_a_model_that_the_queue_was_not_told_of_or_forgot_is_handed_over(service: Service) -> None:
     record = ModelRecord(id=MODEL, status="validating", media_type="", size=1, created_at=NOON)
-    service.store.add_model(record)
+    service.store.models.add(record)
     assert service.reconcile() == 1
-    assert service.queue.take_model() == MODEL
+    assert service.queue.take_upload() == ("model", MODEL)
     assert (service.reconcile(), service.reconcile()) == (0, 1)
-    assert service.queue.take_model() == MODEL
-    service.store.settle_model(record.model_copy(update={"status": "ready"}))
+    assert service.queue.take_upload() == ("model", MODEL)
+    service.store.models.settle(record.model_copy(update={"status": "ready"}))
     assert (service.reconcile(), service.reconcile()) == (0, 0)
 
 

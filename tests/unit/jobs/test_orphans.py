@@ -129,7 +129,7 @@ class TestModels:
         known = ModelRecord(
             id=self.model(1), status="ready", media_type="text/xml", size=1, created_at=jobs.now()
         )
-        jobs.add_model(known)
+        jobs.models.add(known)
         objects.put(keys.model_source(known.id), b"x")
         objects.put(keys.model_source(self.model(2)), b"x")
         objects.age = timedelta(hours=1)
@@ -254,8 +254,8 @@ class Uploads(MemoryObjectStore):
 
 def test_all_folders_are_looked_through_for_uploads_of_a_day_ago(job_store: JobStore) -> None:
     objects = Uploads()
-    assert end_unfinished(store=job_store, objects=objects) == 8
-    assert set(objects.asked) == {"jobs/", "models/", "previews/", "caches/"}
+    assert end_unfinished(store=job_store, objects=objects) == 10
+    assert set(objects.asked) == {"jobs/", "models/", "clips/", "previews/", "caches/"}
     now = job_store.now()
     for before in objects.asked.values():
         assert timedelta(hours=24) <= now - before < timedelta(hours=24, minutes=2)

@@ -22,7 +22,7 @@ from core.jobs.job import utc_now
 from core.physics import trial
 from core.physics.trial import EngineDifference
 from core.storage import keys
-from core.user_models import library
+from core.uploads import library
 from core.user_models.record import Description
 from tests import models
 from tests.extra import extra
@@ -397,11 +397,11 @@ def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(
     tmp_path: Path, job_store: PostgresJobStore
 ) -> None:
     objects, queue = MemoryObjectStore(), MemoryJobQueue()
-    stores: Any = {"store": job_store, "objects": objects, "queue": queue}
+    stores: Any = {"store": job_store.models, "objects": objects, "queue": queue}
     record = models.add(ROLLS, **stores, now=utc_now())
-    assert queue.take_model() == record.id
-    validate(record.id, job_store, objects, tmp_path, tmp_path)
-    found = library.find(record.id, job_store)
+    assert queue.take_upload() == ("model", record.id)
+    validate(record.id, job_store.models, objects, tmp_path, tmp_path)
+    found = library.find(record.id, job_store.models)
     assert (found.status, found.message) == (
         "refused",
         "The model has no actuators, and no hinge or slide that a servo could move.",
@@ -411,18 +411,18 @@ def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(
     assert list(objects.list("")) == []
     # Sent again, it is looked at again.
     again = models.add(ROLLS, **stores, now=utc_now())
-    assert (again.status, queue.contains_model(record.id)) == ("validating", True)
+    assert (again.status, queue.contains_upload("model", record.id)) == ("validating", True)
 
 
 def test_a_refusal_that_was_interrupted_is_told_as_such_and_the_model_can_be_sent_again(
     tmp_path: Path, job_store: PostgresJobStore
 ) -> None:
     objects, queue = MemoryObjectStore(), MemoryJobQueue()
-    stores: Any = {"store": job_store, "objects": objects, "queue": queue}
+    stores: Any = {"store": job_store.models, "objects": objects, "queue": queue}
     record = models.add(ROLLS, **stores, now=utc_now())
     objects.delete_prefix(keys.model_source(record.id))  # as a worker that was killed before it kept why
-    validate(record.id, job_store, objects, tmp_path, tmp_path)
-    found = library.find(record.id, job_store)
+    validate(record.id, job_store.models, objects, tmp_path, tmp_path)
+    found = library.find(record.id, job_store.models)
     assert (found.status, found.message) == (
         "refused",
         "A worker was stopped while it refused the model; send it again to learn why.",
@@ -435,4 +435,4 @@ def test_a_model_that_was_deleted_meanwhile_does_not_come_back(
     tmp_path: Path, job_store: PostgresJobStore
 ) -> None:
     with pytest.raises(ModelNotFound):
-        validate(f"sha256:{'0' * 64}", job_store, MemoryObjectStore(), tmp_path, tmp_path)
+        validate(f"sha256:{'0' * 64}", job_store.models, MemoryObjectStore(), tmp_path, tmp_path)
