@@ -163,14 +163,16 @@ def simulate(jobs: Sequence[Job], span_s: float, policy: Callable[[], FairShare]
         heappush(events, (job.submitted_s, next(numbers), job, ""))
     free = {f"machine {index}": _GPUS_EACH for index in range(_MACHINES)}
     running, spans = dict[str, Held](), list[tuple[Job, float, float]]()
-    while events and events[0][0] < span_s:
-        now, _, job, machine = heappop(events)
-        if machine:
-            free[machine] += job.gpus
-            del running[job.id]
-            scheduler.end(job, now)
-        else:
-            scheduler.submit(job)
+    while events and (now := events[0][0]) < span_s:
+        # What happens at one moment is known before a job starts: everybody's first jobs come at 0 s.
+        while events and events[0][0] == now:
+            _, _, job, machine = heappop(events)
+            if machine:
+                free[machine] += job.gpus
+                del running[job.id]
+                scheduler.end(job, now)
+            else:
+                scheduler.submit(job)
         for started, place in _starts(scheduler, free, running, now):
             expected = scheduler.expected(started)
             ends_at = None if expected is None else now + expected

@@ -4,17 +4,14 @@ import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from datetime import timedelta
 from functools import cache, partial
-from typing import Any, NoReturn
+from typing import Any
 
 from psycopg.errors import UniqueViolation
 from sqlalchemy import (
     Boolean,
     Connection,
-    Integer,
-    Text,
     any_,
     bindparam,
-    case,
     delete,
     exists,
     literal,
@@ -23,11 +20,11 @@ from sqlalchemy import (
     union_all,
     update,
 )
-from sqlalchemy.dialects.postgresql import INTERVAL, insert
+from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.exc import DataError, IntegrityError
 
 from core.accounts.principal import Ownership
-from core.adapters.postgres import feeds, leases, listing, news, quotas, rows, sorting, usage
+from core.adapters.postgres import feeds, leases, listing, quotas, rows, saving, sorting
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.tables import (
     NOW,
@@ -47,12 +44,11 @@ from core.errors import (
     JobNotFound,
     JobUnreadable,
     QuotaExceeded,
-    StaleJob,
 )
 from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id
 from core.jobs.patch import JobPatch, patched
 from core.jobs.status import JobStatus
-from core.jobs.store import Chunk, Entry, Idempotency, JobPage, JobQuery, Mark, note_entry, status_entry
+from core.jobs.store import Chunk, Entry, Idempotency, JobPage, JobQuery, Mark
 
 KEYS_REMEMBERED = timedelta(hours=24)
 # Rows of one call, which has two seconds: an import of 5,000 files was refused as an outage.
@@ -146,7 +142,7 @@ class JobQueries(Session):
 
     def save(self, job: Job, *, lease: timedelta | None = None, note: str | None = None) -> None:
         with self._transaction() as connection:
-            save_job(connection, job, lease=lease, note=note)
+            saving.save_job(connection, job, lease=lease, note=note)
 
     def patch(self, job_id: str, patch: JobPatch) -> Job | UnreadableJob:
         # Two patches wait for each other; whoever names the job in a row of its own does not.
@@ -164,7 +160,7 @@ class JobQueries(Session):
 
     def take_back(self, job: Job) -> None:
         with self._transaction() as connection:
-            save_job(connection, job, _TAKE_BACK)
+            saving.save_job(connection, job, saving.TAKE_BACK)
 
     def delete(self, job_id: str, version: int) -> None:
         with self._transaction() as connection:
@@ -252,7 +248,7 @@ def add_job(connection: Connection, job: Job, idempotency: Idempotency | None = 
     if is_new:
         _write_attempts(connection, job.id, job.attempts)
         if job.artifacts:
-            _write_artifacts(connection, job)
+            saving.write_artifacts(connection, job)
     return is_new
 
 
@@ -286,118 +282,16 @@ def _new_key() -> Any:
     )
 
 
-# ---- The next version of a job, written if the stored version is the one before. -------------------------
-
-
-def _save() -> Any:
-    """A lease and a drain belong to the present attempt; a change of hands ends those of the one before."""
-    changed = {name: bindparam(f"new_{name}", type_=jobs.c[name].type) for name in rows.CHANGING}
-    lease = bindparam("lease", type_=INTERVAL)
-    kept = case(
-        (changed["token"] == "", None),
-        (lease.is_not(None), NOW + lease),
-        (jobs.c.token == changed["token"], jobs.c.lease_until),
-    )
-    drains = case((jobs.c.token == changed["token"], jobs.c.yields_to))
-    saved = bindparam("saved", type_=Text)
-    status = select(jobs.c.status).where(jobs.c.id == saved).scalar_subquery()
-    has_artifacts = exists().where(artifacts.c.job_id == saved)
-    return (
-        update(jobs)
-        .where(jobs.c.id == saved, jobs.c.version == bindparam("version_before", type_=Integer))
-        .values({**changed, "lease_until": kept, "yields_to": drains})
-        .returning(status.label("status"), has_artifacts.label("has_artifacts"))
-    )
-
-
-def _write_attempt() -> Any:
-    statement = insert(attempts)
-    changes = {
-        column.name: statement.excluded[column.name] for column in attempts.c if not column.primary_key
-    }
-    return statement.on_conflict_do_update(index_elements=["job_id", "number"], set_=changes)
-
-
-# Built once, as they are parts of each claim and each end.
-SAVE, _WRITE_ATTEMPT = _save(), _write_attempt()
-# As if it were stale where somebody is about to change it; not where somebody refers to it, as by a new file.
-SAVE_AT_ONCE = SAVE.where(
-    jobs.c.id
-    == select(jobs.c.id)
-    .where(jobs.c.id == bindparam("saved"))
-    .with_for_update(skip_locked=True, key_share=True)
-    .scalar_subquery()
-)
-_TAKE_BACK = SAVE.where(leases.is_over())
-
-
-def save_job(
-    connection: Connection,
-    job: Job,
-    statement: Any = SAVE,
-    *,
-    lease: timedelta | None = None,
-    note: str | None = None,
-) -> None:
-    """Write the job, its attempts and artifacts, its events, and the dispatch of a change of status.
-
-    statement: `SAVE`, or with a further condition. Raises StaleJob, JobNotFound.
-    """
-    values = {f"new_{name}": value for name, value in rows.job_values(job).items()}
-    span = None if lease is None else rows.interval(lease)
-    before = connection.execute(
-        statement, {**values, "saved": job.id, "version_before": job.version - 1, "lease": span}
-    ).first()
-    if before is None:
-        _refuse(connection, job.id)
-    # A step changes the last attempt, or the one before it.
-    _write_attempts(connection, job.id, job.attempts[-2:])
-    if job.artifacts or before.has_artifacts:
-        _write_artifacts(connection, job)
-    if before.status != job.status:
-        feeds.append(connection, job.id, "events", [status_entry(job)])
-    if note is not None:
-        feeds.append(connection, job.id, "events", [note_entry(note)])
-    if JobStatus.QUEUED in (before.status, job.status):
-        leases.update_dispatch(connection, job)
-    if before.status != job.status:
-        usage.enter(connection, job, rows.status(before.status))
-        news.enter(connection, job, rows.status(before.status))
-
-
-def _write_attempts(connection: Connection, job_id: str, changed: Sequence[Attempt]) -> None:
-    if changed:
-        connection.execute(_WRITE_ATTEMPT, [rows.attempt_values(job_id, attempt) for attempt in changed])
-
-
-def _write_artifacts(connection: Connection, job: Job) -> None:
-    stored = connection.execute(
-        select(artifacts.c.name, artifacts.c.position, artifacts.c.key).where(artifacts.c.job_id == job.id)
-    ).all()
-    have = {row.name: row for row in stored}
-    if gone := have.keys() - {artifact.name for artifact in job.artifacts}:
-        connection.execute(delete(artifacts).where(artifacts.c.job_id == job.id, artifacts.c.name.in_(gone)))
-    top = max((row.position for row in stored), default=0)
-    new = list[rows.Values]()
-    for artifact in job.artifacts:
-        known = have.get(artifact.name)
-        if known is None:
-            top += 1
-        if known is None or known.key != artifact.key:
-            new.append(rows.artifact_values(job.id, top if known is None else known.position, artifact))
-    if new:
-        statement = insert(artifacts)
-        changes = {name: statement.excluded[name] for name in new[0] if name not in ("job_id", "name")}
-        write = statement.on_conflict_do_update(index_elements=["job_id", "name"], set_=changes)
-        for at in range(0, len(new), _AT_ONCE):
-            connection.execute(write, new[at : at + _AT_ONCE])
+def _write_attempts(connection: Connection, job_id: str, tried: Sequence[Attempt]) -> None:
+    if tried:
+        connection.execute(insert(attempts), [rows.attempt_values(job_id, attempt) for attempt in tried])
 
 
 def delete_job(connection: Connection, job_id: str, version: int) -> None:
     """Delete the job, whose row the caller has locked. Raises JobNotFound, StaleJob."""
     gone = delete(jobs).where(jobs.c.id == job_id, jobs.c.version == version).returning(jobs.c.id)
     if connection.execute(gone).first() is None:
-        _refuse(connection, job_id)
+        saving.refuse(connection, job_id)
     leases.forget_dispatch(connection, job_id)
     connection.execute(insert(deletions).values(job_id=job_id, begun_at=NOW))
 
@@ -406,9 +300,3 @@ def borrowers_of(job_id: str) -> Any:
     """The unfinished jobs that need a checkpoint of this one: `id`, `source_step`."""
     wanted = select(jobs.c.id, jobs.c.source_step)
     return wanted.where(jobs.c.status.in_(UNFINISHED), jobs.c.source == job_id).order_by(jobs.c.id)
-
-
-def _refuse(connection: Connection, job_id: str) -> NoReturn:
-    if connection.execute(select(jobs.c.id).where(jobs.c.id == job_id)).first() is None:
-        raise JobNotFound(job_id[:64])
-    raise StaleJob(job_id)

@@ -165,18 +165,6 @@ def is_over() -> Any:
     return and_(is_run_out, select(is_watched).scalar_subquery())
 
 
-def update_dispatch(connection: Connection, job: Job) -> None:
-    """Add a dispatch for a job that waits for a worker; remove it for any other."""
-    if job.status == JobStatus.QUEUED:
-        connection.execute(
-            insert(dispatches)
-            .values(task="attempt", subject=job.id, attempt=job.next_attempt, created_at=NOW)
-            .on_conflict_do_nothing()
-        )
-    else:
-        forget_dispatch(connection, job.id)
-
-
 def forget_dispatch(connection: Connection, job_id: str) -> None:
     connection.execute(_FORGET, {"job_id": job_id})
 

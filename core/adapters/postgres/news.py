@@ -1,6 +1,6 @@
 """Webhooks, news and deliveries.
 
-News is written with the change of a job (`enter`). A sender's two steps are one transaction each: it makes
+News is written with the change of a job (`saving`). A sender's two steps are one transaction each: it makes
 deliveries of news, and it claims those that are due. A claim only sets the time of the next try: that of a
 sender that dies runs out, and then another one sends again.
 """
@@ -30,12 +30,9 @@ from core.accounts.principal import Role
 from core.accounts.store import Actor
 from core.adapters.postgres.accounts import checked_cursor, note_audit, require_project
 from core.adapters.postgres.engine import Session
-from core.adapters.postgres.rows import columns, interval, words
+from core.adapters.postgres.rows import Values, columns, interval, words
 from core.adapters.postgres.tables import NOW, deliveries, members, news, projects, users, webhooks
 from core.errors import DeliveryNotFound, TooManyWebhooks, WebhookExists, WebhookNotFound, WebhookUnsigned
-from core.jobs.job import Job
-from core.jobs.news import news_of
-from core.jobs.status import JobStatus
 from core.news.store import DeliveryPage
 from core.news.webhook import (
     CLAIM,
@@ -276,14 +273,16 @@ class NewsQueries(Session):
                 _stop(connection, due.webhook.project, due.webhook.name, outcome.error)
 
 
-def enter(connection: Connection, job: Job, before: JobStatus) -> None:
-    """Write the news of this change of status, if it is any."""
-    add(connection, news_of(job, before))
-
-
 def add(connection: Connection, message: News | None) -> None:
-    if message is not None:
-        connection.execute(_ADD, {**message.model_dump(exclude={"notify"}), "notify": [*message.notify]})
+    for values in values_of(message):
+        connection.execute(_ADD, values)
+
+
+def values_of(message: News | None) -> Sequence[Values]:
+    """The row of a message, without its time; none without one."""
+    if message is None:
+        return []
+    return [{**message.model_dump(exclude={"notify"}), "notify": [*message.notify]}]
 
 
 def forget_old(connection: Connection, limit: int = 5000) -> bool:

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 from sqlalchemy import (
     ARRAY,
+    JSON,
     Connection,
     Double,
     Row,
@@ -20,9 +21,11 @@ from sqlalchemy import (
     exists,
     func,
     literal,
+    literal_column,
     select,
 )
 from sqlalchemy import cast as cast_to
+from sqlalchemy.dialects.postgresql import aggregate_order_by
 
 from core.adapters.postgres.tables import NOW, artifacts, attempts, jobs
 from core.bounds import LONGEST_MESSAGE
@@ -42,6 +45,19 @@ HELD = tuple(status.value for status in JobStatus if status.is_held)
 IDS = bindparam("ids", type_=ARRAY(Text))
 _ATTEMPTS_OF = select(attempts).where(attempts.c.job_id == any_(IDS)).order_by(attempts.c.number)
 _ARTIFACTS_OF = select(artifacts).where(artifacts.c.job_id == any_(IDS)).order_by(artifacts.c.position)
+# A job with all of its attempts and files: each further statement would be a round trip.
+_FIND = select(
+    jobs,
+    *(
+        select(func.json_agg(aggregate_order_by(literal_column(table.name, JSON), order)))
+        .select_from(table)
+        .where(table.c.job_id == jobs.c.id)
+        .correlate(jobs)
+        .scalar_subquery()
+        .label(table.name)
+        for table, order in ((attempts, attempts.c.number), (artifacts, artifacts.c.position))
+    ),
+).where(jobs.c.id == bindparam("id", type_=Text))
 # In listings, whose readers look at the newest; a job itself has them all.
 _MOST_LISTED = 10
 _LONGEST_LISTED = 1000
@@ -179,10 +195,10 @@ def columns(row: Row[Any]) -> Values:
 
 def find_job(connection: Connection, job_id: str) -> Job | UnreadableJob:
     """Raises JobNotFound."""
-    row = connection.execute(select(jobs).where(jobs.c.id == job_id)).first()
+    row = connection.execute(_FIND, {"id": job_id}).first()
     if row is None:
         raise JobNotFound(job_id[:64])
-    return jobs_of_rows(connection, [row])[0]
+    return _job(row, row.attempts or (), row.artifacts or ())
 
 
 def jobs_of_rows(
@@ -195,13 +211,13 @@ def jobs_of_rows(
     if not found:
         return []
     ids = {"ids": [row.id for row in found]}
-    tries: dict[str, list[Any]] = defaultdict(list)
-    files: dict[str, list[Any]] = defaultdict(list)
+    tries: dict[str, list[Values]] = defaultdict(list)
+    files: dict[str, list[Values]] = defaultdict(list)
     if any(row.num_attempts for row in found):
         for row in connection.execute(_BRIEF_ATTEMPTS_OF if brief else _ATTEMPTS_OF, ids):
-            tries[row.job_id].append(row)
+            tries[row.job_id].append(columns(row))
     for row in connection.execute(_BRIEF_ARTIFACTS_OF if brief else _ARTIFACTS_OF, ids):
-        files[row.job_id].append(row)
+        files[row.job_id].append(columns(row))
     return [_job(row, tries[row.id], files[row.id]) for row in found]
 
 
@@ -236,7 +252,7 @@ def readable(job: Job | UnreadableJob) -> Job:
     return job
 
 
-def _job(row: Row[Any], tries: Sequence[Row[Any]], files: Sequence[Row[Any]]) -> Job | UnreadableJob:
+def _job(row: Row[Any], tries: Sequence[Values], files: Sequence[Values]) -> Job | UnreadableJob:
     """The job; an UnreadableJob if its row is damaged or another version wrote it."""
     own = columns(row)
     try:
@@ -254,12 +270,12 @@ def _job(row: Row[Any], tries: Sequence[Row[Any]], files: Sequence[Row[Any]]) ->
         return UnreadableJob.model_validate({**own, **found})
 
 
-def _attempt_of(row: Row[Any]) -> Attempt:
-    return Attempt.model_validate({**columns(row), "details": from_json(row.details)})
+def _attempt_of(values: Values) -> Attempt:
+    return Attempt.model_validate({**values, "details": from_json(values["details"])})
 
 
-def _artifact_of(row: Row[Any]) -> Artifact:
-    return Artifact.model_validate({**columns(row), "metadata": from_json(row.metadata)})
+def _artifact_of(values: Values) -> Artifact:
+    return Artifact.model_validate({**values, "metadata": from_json(values["metadata"])})
 
 
 def _progress(text: str | None) -> Progress:

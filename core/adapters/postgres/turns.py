@@ -14,9 +14,9 @@ from typing import Any
 from sqlalchemy import Connection, Row, TextClause, text
 
 from core.adapters.postgres.engine import Session
-from core.adapters.postgres.jobs import SAVE_AT_ONCE, save_job
 from core.adapters.postgres.quotas import quotas_of
 from core.adapters.postgres.rows import HELD, find_job, readable
+from core.adapters.postgres.saving import SAVE_AT_ONCE, save_change
 from core.adapters.postgres.usage import SHARES
 from core.errors import IllegalTransition, JobNotFound, StaleJob
 from core.jobs.job import Job
@@ -134,7 +134,7 @@ class TurnQueries(Session):
                 raise kept
             given = {} if offer is None else {GIVEN: offer.device(first.gpus)}
             claimed = job.claimed(worker, now, secret, {**(details or {}), **given})
-            save_job(connection, claimed, SAVE_AT_ONCE, lease=lease)
+            save_change(connection, claimed, job.status, SAVE_AT_ONCE, lease=lease)
             return claimed
 
         asked = {"queues": list(queues), "but_not": [], "told": told, "held": list(HELD)}

@@ -8,6 +8,7 @@ from typing import Any
 
 from sqlalchemy import (
     Connection,
+    Double,
     Text,
     and_,
     bindparam,
@@ -16,6 +17,7 @@ from sqlalchemy import (
     delete,
     func,
     literal,
+    literal_column,
     or_,
     select,
     text,
@@ -27,13 +29,14 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import JSONB, insert
 
 from core.adapters.postgres.engine import Session
-from core.adapters.postgres.rows import HELD, age_s, columns
+from core.adapters.postgres.rows import HELD, Values, age_s, columns
 from core.adapters.postgres.tables import (
     NOW,
     UNFINISHED,
     attempts,
     jobs,
     pulse,
+    shares,
     tallies,
     usage,
 )
@@ -68,13 +71,12 @@ _FOLDED_AT_ONCE = 20_000
 _KIND = case((usage.c.device == "", ""), (usage.c.device.like("gpu%"), "gpu"), else_="cpu")
 
 
-def _ledger(statement: Any) -> Any:
+def added_to_ledger(statement: Any) -> Any:
     """An insertion that adds to the entries that are there."""
     added = {name: usage.c[name] + statement.excluded[name] for name in _SUMS}
     return statement.on_conflict_do_update(index_elements=_KEY, set_=added)
 
 
-_ENTER = _ledger(insert(usage))
 _SUMMED = [func.sum(usage.c[name]).label(name) for name in _SUMS]
 _ENDED = select(usage.c.project, usage.c.status, usage.c.reason, _KIND.label("device"), *_SUMMED).group_by(
     usage.c.project, usage.c.status, usage.c.reason, _KIND
@@ -137,20 +139,12 @@ _TALLY = text(
 )
 
 
-# What was there is halved by the time since; PostgreSQL refuses a power too small for its numbers.
+# What was there is halved by the time since; PostgreSQL refuses a power too small for its numbers. With exact
+# numbers it takes ten times as long.
 _LEFT = """
-    power(0.5, least(100, greatest(0, extract(epoch FROM clock_timestamp() - shares.at)
-        / extract(epoch FROM coalesce((SELECT half_life FROM pulse), interval '3 days')))))
+    power(0.5::float, least(100, greatest(0, CAST(extract(epoch FROM clock_timestamp() - shares.at) AS float)
+        / CAST(extract(epoch FROM coalesce((SELECT half_life FROM pulse), interval '3 days')) AS float))))
 """
-_CHARGE = text(f"""
-    INSERT INTO shares (device, project, owner, amount, attempts, seconds, at)
-    VALUES (:device, :project, :owner, :amount, 1, :seconds, clock_timestamp())
-    ON CONFLICT (device, project, owner) DO UPDATE SET
-        amount = shares.amount * {_LEFT} + excluded.amount,
-        attempts = shares.attempts * {_LEFT} + 1,
-        seconds = shares.seconds * {_LEFT} + excluded.seconds,
-        at = excluded.at
-""")  # noqa: S608 # A constant.
 # By the half-life that was true until now.
 _BRING_UP_TO_DATE = text(f"""
     UPDATE shares SET amount = amount * {_LEFT}, attempts = attempts * {_LEFT}, seconds = seconds * {_LEFT},
@@ -161,24 +155,34 @@ SHARES = f"""
 """  # noqa: S608 # A constant.
 
 
-def enter(connection: Connection, job: Job, before: JobStatus) -> None:
-    """Add to the ledger what a change of the job's status means for it."""
+def added_to_shares(statement: Any) -> Any:
+    """An insertion that adds to what is left of the shares that are there."""
+    left, more = literal_column(_LEFT, Double), statement.excluded
+    sums = {name: shares.c[name] * left + more[name] for name in ("amount", "attempts", "seconds")}
+    return statement.on_conflict_do_update(
+        index_elements=["device", "project", "owner"], set_={**sums, "at": more.at}
+    )
+
+
+def of_change(job: Job, before: JobStatus) -> tuple[Sequence[Values], Sequence[Values]]:
+    """What a change of the job's status adds to the ledger, and to the shares.
+
+    before: its status until then.
+    """
     new = entries(job, before)
-    if not new:
-        return
-    connection.execute(_ENTER, [asdict(entry) for entry in new])
-    if any(entry.attempts for entry in new):
-        seconds, gpu_seconds = (
-            sum(getattr(entry, name) for entry in new) for name in ("seconds", "gpu_seconds")
-        )
-        share = {
-            "device": "gpu" if gpu_seconds else "cpu",
-            "project": new[-1].project,
-            "owner": new[-1].owner,
-            "amount": gpu_seconds or seconds * job.spec.resources.hosts,
-            "seconds": seconds,
-        }
-        connection.execute(_CHARGE, share)
+    used = [asdict(entry) for entry in new]
+    if not any(entry.attempts for entry in new):
+        return used, []
+    seconds, gpu_seconds = sum(entry.seconds for entry in new), sum(entry.gpu_seconds for entry in new)
+    charged = {
+        "device": "gpu" if gpu_seconds else "cpu",
+        "project": new[-1].project,
+        "owner": new[-1].owner,
+        "amount": gpu_seconds or seconds * job.spec.resources.hosts,
+        "attempts": 1,
+        "seconds": seconds,
+    }
+    return used, [charged]
 
 
 def fold(connection: Connection) -> None:
@@ -192,7 +196,7 @@ def fold(connection: Connection) -> None:
     kind = case((gone.c.device == "", ""), (gone.c.device.like("gpu%"), "gpu"), else_="cpu")
     kept = [gone.c.hour, gone.c.project, gone.c.owner, literal(""), kind, gone.c.status, gone.c.reason]
     merged = select(*kept, *(func.sum(gone.c[name]) for name in _SUMS)).group_by(*kept)
-    connection.execute(_ledger(insert(usage).from_select([*_KEY, *_SUMS], merged)))
+    connection.execute(added_to_ledger(insert(usage).from_select([*_KEY, *_SUMS], merged)))
 
 
 class UsageQueries(Session):
