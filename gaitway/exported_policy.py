@@ -7,7 +7,7 @@ format.
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO, cast
 
@@ -15,7 +15,8 @@ import numpy as np
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
-_FORMAT, _VERSION = "gaitway-policy", 1
+# The second version has an encoder.
+_FORMAT, _VERSIONS = "gaitway-policy", (1, 2)
 _LEAST_DEVIATION = 0.001
 
 
@@ -24,7 +25,9 @@ class Policy:
     """observation [..., observation_size] ↦ action [..., action_size], each component in [-1, 1].
 
     about: the contract. mean, std: of observations. max_abs: bound on normalised observations. layers:
-    (kernel [inputs, outputs], bias [outputs]) of each.
+    (kernel [inputs, outputs], bias [outputs]) of each. encoder: layers that see the numbers `encoded` of the
+    observation, in a policy that has one; `layers` see the first half of their outputs, an intention, and
+    then the other numbers.
     """
 
     about: Mapping[str, Any]
@@ -33,19 +36,34 @@ class Policy:
     max_abs: float
     layers: tuple[tuple[Array, Array], ...]
     activation: Callable[[Array], Array]
+    encoder: tuple[tuple[Array, Array], ...] = ()
+    encoded: tuple[int, ...] = ()
 
     def __call__(self, observation: Any, noise: np.random.Generator | None = None) -> Array:
         """The action. observation: an array, or arrays by name. noise: to explore as in training."""
         seen = self._seen(observation)
         values = np.clip((seen - self.mean) / self.std, -self.max_abs, self.max_abs)
-        for kernel, bias in self.layers[:-1]:
-            values = self.activation(values @ kernel + bias)
-        kernel, bias = self.layers[-1]
-        location, scale = np.split(values @ kernel + bias, 2, axis=-1)
+        if self.encoder:
+            encoded = np.array(self.encoded)
+            latent, log_std = self._halves(self.encoder, values[..., encoded])
+            if noise is not None:
+                latent = latent + np.exp(log_std) * noise.standard_normal(latent.shape, np.float32)
+            others: Array = np.delete(values, encoded, axis=-1)
+            values = np.concatenate([latent, others], axis=-1)
+        location, scale = self._halves(self.layers, values)
         if noise is not None:
             deviation = _softplus(scale) + _LEAST_DEVIATION
             location = location + deviation * noise.standard_normal(location.shape, np.float32)
         return np.tanh(location)
+
+    def _halves(self, layers: Sequence[tuple[Array, Array]], values: Array) -> tuple[Array, Array]:
+        """The two halves of what the layers give."""
+        for kernel, bias in layers[:-1]:
+            values = self.activation(values @ kernel + bias)
+        kernel, bias = layers[-1]
+        both: Array = values @ kernel + bias
+        half = both.shape[-1] // 2
+        return both[..., :half], both[..., half:]
 
     def _seen(self, observation: Any) -> Array:
         contract = self.about["observation"]
@@ -63,12 +81,13 @@ def load(path: str | os.PathLike[str] | BinaryIO) -> Policy:
     """The policy in a file that `gaitway export --format numpy` fetched. Raises ValueError for others."""
     with np.load(path, allow_pickle=False) as file:
         about: Any = json.loads(str(file["about"])) if "about" in file.files else {}
-        if (about.get("format"), about.get("version")) != (_FORMAT, _VERSION):
-            raise ValueError(f"This is not a {_FORMAT} of version {_VERSION}.")
+        if about.get("format") != _FORMAT or about.get("version") not in _VERSIONS:
+            raise ValueError(f"This is not a {_FORMAT} of version {' or '.join(map(str, _VERSIONS))}.")
         network = about["network"]
         if network["activation"] not in _ACTIVATIONS:
             raise ValueError(f"There is no activation {network['activation']!r} here.")
         bound = network["normalized_max_abs"]
+        encoder = network.get("encoder", {"num_layers": 0, "encoded": []})
         return Policy(
             about,
             file["observation_mean"],
@@ -76,6 +95,10 @@ def load(path: str | os.PathLike[str] | BinaryIO) -> Policy:
             math.inf if bound is None else bound,
             tuple((file[f"kernel_{i}"], file[f"bias_{i}"]) for i in range(network["num_layers"])),
             _ACTIVATIONS[network["activation"]],
+            tuple(
+                (file[f"encoder_kernel_{i}"], file[f"encoder_bias_{i}"]) for i in range(encoder["num_layers"])
+            ),
+            tuple(encoder["encoded"]),
         )
 
 

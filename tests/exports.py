@@ -32,7 +32,8 @@ def policy_file(settings: PPOSpec | SACSpec, seen: Any, action_size: int) -> byt
     """The file of a policy whose network is random and whose normaliser knows these observations: [N, size],
     or several by name."""
     by_name = seen if isinstance(seen, dict) else {"state": seen}
-    config = PolicyConfig.of(settings.model_dump())
+    places = {"encoder_places": getattr(settings, "encoder_places", None)}  # PPO's alone.
+    config = PolicyConfig.of(settings.model_dump() | places)
     own = by_name[config.policy_obs_key]
     normalizer = init_normalizer(jax.tree.map(lambda values: values.shape[-1], seen))
     if settings.normalize_observations:
@@ -40,10 +41,20 @@ def policy_file(settings: PPOSpec | SACSpec, seen: Any, action_size: int) -> byt
         # Brax bounds deviations from below, too.
         std = jax.tree.map(lambda values: np.maximum(np.std(values, axis=0), np.float32(1e-6)), seen)
         normalizer = normalizer.replace(mean=mean, std=std)
-    sizes = [own.shape[-1], *settings.policy_hidden_layer_sizes, 2 * action_size]
+    policy = _random_policy(settings, own.shape[-1], action_size)
     # PPO's inference reads the sizes of the value network.
     value = _random_network([by_name[config.value_obs_key].shape[-1], 1, 1])
-    return write_policy(PolicyParams(normalizer, _random_network(sizes), value, config))
+    return write_policy(PolicyParams(normalizer, policy, value, config))
+
+
+def _random_policy(settings: PPOSpec | SACSpec, observation_size: int, action_size: int) -> Any:
+    network = settings.network if isinstance(settings, PPOSpec) else None
+    if network is None:
+        return _random_network([observation_size, *settings.policy_hidden_layer_sizes, 2 * action_size])
+    seen = sum(size for _, size in network.places or ())
+    encoder = _random_network([seen, *network.encoder, 2 * network.latent])
+    decoder = _random_network([network.latent + observation_size - seen, *network.decoder, 2 * action_size])
+    return {"params": {"encoder": encoder["params"], "decoder": decoder["params"]}}
 
 
 def _random_network(sizes: Sequence[int]) -> Any:

@@ -90,6 +90,26 @@ def observed_action_reward() -> Probe:
     return Probe(lambda obs, time, action: (-((action - 0.5 * obs) ** 2), jnp.ones(())), random_sign=True)
 
 
+@dataclass(frozen=True)
+class IntentionProbe(Probe):
+    """Two numbers are seen, -1 or +1 each: what is wanted, and the body. The best action is 0.5 times the
+    first plus 0.4 times the second, so that who sees only one of them misses it by 0.4 or more."""
+
+    observation_size: int = 2
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        signs = jnp.where(jax.random.bernoulli(key, shape=(2,)), 1.0, -1.0)
+        return replace(super().reset(key, model), obs=signs)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        wanted = 0.5 * state.obs[0] + 0.4 * state.obs[1]
+        return replace(super().step(state, action), reward=-((action[0] - wanted) ** 2), obs=state.obs)
+
+
+def intention() -> IntentionProbe:
+    return IntentionProbe(lambda obs, time, action: (obs, jnp.ones(())))
+
+
 def unending_reward(reward: float = 1.0) -> Probe:
     """The same reward at every step, and no step ends it: the value is reward / (1 - discount)."""
     return Probe(lambda obs, time, action: (jnp.float32(reward), jnp.zeros(())))

@@ -155,6 +155,7 @@ def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnyS
     """
     values = tuned(spec.algorithm(), environment, device)
     settings = type(spec).model_validate({**values, **spec.model_dump(exclude_unset=True)})
+    settings = settings.of_environment(environment)
     refusal = check_critic(settings, environment)
     if refusal := refusal or ALGORITHMS[spec.algorithm()].refusal(settings, environment, device):
         raise refusal

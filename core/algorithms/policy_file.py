@@ -3,7 +3,7 @@
 import io
 import json
 import pickle
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
@@ -23,13 +23,17 @@ Triple = tuple[Any, Any, Any]
 
 @dataclass(frozen=True)
 class PolicyConfig:
-    """The hyperparameters of these names, which inference needs besides a policy's parameters."""
+    """The hyperparameters of these names, which inference needs besides a policy's parameters.
+
+    encoder_places: (start, size) of what an encoder sees of the observation; None: there is no encoder.
+    """
 
     activation: str = "swish"
     policy_obs_key: str = "state"
     value_obs_key: str = "state"
     action_repeat: int = 1
     normalize_observations_max_abs_value: float | None = None
+    encoder_places: tuple[tuple[int, int], ...] | None = None
 
     @classmethod
     def of(cls, facts: Mapping[str, Any]) -> "PolicyConfig":
@@ -40,7 +44,10 @@ class PolicyConfig:
         names = set(asdict(cls())) & facts.keys()
         if not facts.get("normalize_observations", True):
             names -= {"normalize_observations_max_abs_value"}
-        return cls(**{name: facts[name] for name in names})
+        values = {name: facts[name] for name in names}
+        if places := values.get("encoder_places"):
+            values["encoder_places"] = tuple((int(start), int(size)) for start, size in places)
+        return cls(**values)
 
 
 @struct.dataclass
@@ -106,11 +113,25 @@ def _check(params: PolicyParams) -> None:
     deviations: Any = params.normalizer.std
     if isinstance(means, dict):
         means, deviations = means[config.policy_obs_key], deviations[config.policy_obs_key]
-    _check_network(params.policy, means.shape[0])
+    if config.encoder_places is None:
+        _check_network(params.policy, means.shape[0])
+    else:
+        _check_encoder(params.policy, means.shape[0], config.encoder_places)
     if params.value:  # SAC's files have none.
         _check_network(params.value)
     if means.shape != deviations.shape or means.ndim != 1:
         raise ValueError("the normaliser is for other observations")
+
+
+def _check_encoder(network: Any, width: int, places: Sequence[tuple[int, int]]) -> None:
+    """width: of the observation; places: what the encoder sees of it."""
+    encoder, decoder = ({"params": network["params"][name]} for name in ("encoder", "decoder"))
+    seen = sum(size for _, size in places)
+    if any(start + size > width for start, size in places):
+        raise ValueError("the encoder's places go beyond the observation")
+    _check_network(encoder, seen)
+    latent = encoder["params"][f"hidden_{len(encoder['params']) - 1}"]["bias"].shape[0] // 2
+    _check_network(decoder, latent + width - seen)
 
 
 def _check_network(network: Any, width: int | None = None) -> None:

@@ -1,7 +1,7 @@
 """Hyperparameters that algorithms share, and what code for any algorithm reads of them."""
 
 from abc import abstractmethod
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field
 
@@ -53,6 +53,13 @@ class BaseSpec(Strict):
         change nothing."""
         return ()
 
+    def of_environment(self, environment: EnvironmentInfo) -> Self:
+        """The settings with what they take from the environment's observation: by default, nothing.
+
+        Raises Rejected where it lacks what they need.
+        """
+        return self
+
     def check_sharing(self, num_devices: int, num_hosts: int = 1) -> None:
         """Raises Rejected where `num_devices` devices, those of all hosts together, cannot share the run: by
         default, more than one."""
@@ -74,7 +81,10 @@ def check_resumption(wanted: BaseSpec, made_with: BaseSpec) -> None:
     """Raises Rejected if a run under `wanted` cannot resume from a checkpoint of one under `made_with`."""
     names = ("kind",) if type(wanted) is not type(made_with) else wanted.fixed_by_checkpoint
     problems = [
-        Problem(f"/algorithm/{name}", f"The checkpoint was made with {name} = {had}; this job has {has}.")
+        Problem(
+            f"/algorithm/{name}" if name in type(wanted).model_fields else "/algorithm",
+            f"The checkpoint was made with {name} = {had}; this job has {has}.",
+        )
         for name in names
         if (had := getattr(made_with, name)) != (has := getattr(wanted, name))
     ]

@@ -13,7 +13,7 @@ import numpy as np
 
 from core.environments.deployment import Deployment, deployment
 from core.environments.environment import Observation, State
-from core.environments.info import CRITIC_GROUP, POLICY_GROUP
+from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.environments.observation_group import ObservationGroup
 from core.environments.random_start import RandomStart
@@ -37,6 +37,7 @@ from core.environments.terms.task import (
     observed,
     parts_of,
     reported,
+    task_slices,
 )
 from core.environments.terms.term import whole_steps
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
@@ -366,6 +367,11 @@ class TaskEnv(MujocoEnv):
             return jnp.full(number, 0.5)
         of_the_step = jax.random.fold_in(jax.random.wrap_key_data(info["key"]), info["steps"])
         return jax.random.uniform(jax.random.fold_in(of_the_step, purpose), (number,))
+
+    @property
+    def spaces(self) -> Spaces:
+        """The numbers of its observations and of its action by name."""
+        return task_slices(self._options, self._inventory)
 
     def simulation(self) -> Simulation:
         command = self._options.command

@@ -40,7 +40,10 @@ _TRAINING = {
     "training/fall_rate",
 }
 _OF_ALGORITHMS = {
-    "ppo": {"total_loss", "policy_loss", "v_loss", "entropy_loss", "kl_mean", "learning_rate", "grad_norm"},
+    "ppo": {
+        *("total_loss", "policy_loss", "v_loss", "entropy_loss", "kl_mean", "learning_rate", "grad_norm"),
+        *("latent_kl", "latent_std", "latent_step", "kl_weight"),
+    },
     "sac": {"critic_loss", "policy_loss", "q_value", "entropy", "alpha"},
     "dqn": {"loss", "q_value", "td_error", "epsilon"},
     "q_learning": {"episodes", "num_episodes", "epsilon"},

@@ -7,11 +7,12 @@ distribution.NormalTanhDistribution).
 
 import io
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gaitway import exported_policy
 from gaitway.errors import PolicyUnreadable
@@ -26,19 +27,23 @@ _LEAST_DEVIATION = 0.001
 
 class Parameters(NamedTuple):
     """mean, std: of observations, [observation_size].
-    layers: (kernel [inputs, outputs], bias [outputs]) of each; the last gives 2 × action_size numbers."""
+    layers: (kernel [inputs, outputs], bias [outputs]) of each; the last gives 2 × action_size numbers.
+    encoder: of a policy that has one, its layers, whose last gives means and logarithms of deviations."""
 
     mean: Any
     std: Any
     layers: list[tuple[Any, Any]]
+    encoder: Sequence[tuple[Any, Any]] = ()
 
 
 class _Design(NamedTuple):
-    """observation: the one that the policy sees, of several by name. bound: on the normalised observation."""
+    """observation: the one that the policy sees, of several by name. bound: on the normalised observation.
+    encoded: the numbers of it that an encoder sees."""
 
     activation: str
     observation: str
     bound: float | None
+    encoded: tuple[int, ...] = ()
 
 
 Answer = Callable[[Parameters, Any, jax.Array], jax.Array]
@@ -52,10 +57,18 @@ def load(form: str, content: bytes, is_checkpoint: bool, deterministic: bool) ->
     activation = activation_of(design.activation)
 
     def answer(parameters: Parameters, observation: Any, key: jax.Array) -> jax.Array:
-        mean, std, layers = parameters
+        mean, std, layers, encoder = parameters
         if isinstance(observation, Mapping):
             observation = observation[design.observation]
-        output = network(layers, normalized(observation, mean, std, design.bound), activation)
+        values = normalized(observation, mean, std, design.bound)
+        if encoder:
+            encoded = np.array(design.encoded)
+            latent, log_std = jnp.split(network(encoder, values[..., encoded], activation), 2, axis=-1)
+            if not deterministic:
+                key, latent_key = jax.random.split(key)
+                latent = latent + jnp.exp(log_std) * jax.random.normal(latent_key, latent.shape)
+            values = jnp.concatenate([latent, jnp.delete(values, encoded, axis=-1)], axis=-1)
+        output = network(layers, values, activation)
         location, scale = jnp.split(output, 2, axis=-1)
         if not deterministic:
             deviation = jax.nn.softplus(scale) + _LEAST_DEVIATION
@@ -75,7 +88,7 @@ def load_dqn(content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[
     epsilon = jnp.float32(facts["epsilon"])
 
     def answer(parameters: Parameters, observation: Any, key: jax.Array) -> jax.Array:
-        mean, std, layers = parameters
+        mean, std, layers, _ = parameters
         flat = network(layers, normalized(observation, mean, std, bound), activation)
         best = jnp.argmax(flat.reshape(*flat.shape[:-1], *shape), axis=-1).astype(jnp.int32)
         if deterministic:
@@ -94,19 +107,27 @@ def _of_checkpoint(form: str, content: bytes) -> tuple[_Design, Parameters]:
         facts.get("activation", "swish"),
         facts.get("policy_obs_key", "state"),
         facts.get("normalize_observations_max_abs_value"),
+        tuple(start + i for start, size in facts.get("encoder_places") or () for i in range(size)),
     )
     mean, std = state["normalizer"]["mean"], state["normalizer"]["std"]
     if isinstance(mean, Mapping):
         mean, std = mean[design.observation], std[design.observation]
-    return design, Parameters(mean, std, layers_of(state["params"]["policy"]))
+    policy = state["params"]["policy"]
+    if not design.encoded:
+        return design, Parameters(mean, std, layers_of(policy))
+    encoder, decoder = (layers_of({"params": policy["params"][name]}) for name in ("encoder", "decoder"))
+    return design, Parameters(mean, std, decoder, encoder)
 
 
 def _of_export(content: bytes) -> tuple[_Design, Parameters]:
     try:
         policy = exported_policy.load(io.BytesIO(content))
         bound = None if math.isinf(policy.max_abs) else policy.max_abs
-        design = _Design(policy.about["network"]["activation"], policy.about["observation"]["name"], bound)
-        return design, Parameters(policy.mean, policy.std, [*policy.layers])
+        contract = policy.about
+        design = _Design(
+            contract["network"]["activation"], contract["observation"]["name"], bound, policy.encoded
+        )
+        return design, Parameters(policy.mean, policy.std, [*policy.layers], policy.encoder)
     except Exception as error:  # damaged bytes may make a decoder raise anything
         raise PolicyUnreadable("This is not a policy file, or it is damaged.") from error
 
@@ -132,7 +153,7 @@ def normalized(observation: jax.Array, mean: Any, std: Any, bound: float | None)
     return deviations if bound is None else jnp.clip(deviations, -bound, bound)
 
 
-def network(layers: list[tuple[Any, Any]], values: jax.Array, activation: Activation) -> jax.Array:
+def network(layers: Sequence[tuple[Any, Any]], values: jax.Array, activation: Activation) -> jax.Array:
     """The output of a multilayer perceptron."""
     for kernel, bias in layers[:-1]:
         values = activation(values @ kernel + bias)

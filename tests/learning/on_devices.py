@@ -15,7 +15,7 @@ from core.environments import catalog
 from core.environments.environment import Environment
 from core.physics.choose import engine_builder
 from tests import probes
-from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
+from tests.learning.runs import INTENTION, STEPS_PER_UPDATE, checkpoints, small_run
 
 # What learning has made, as against what was added up over a whole batch: relative to 1.
 _COMPARED = ("params", "optimizer", "episodes", "key", "num_updates")
@@ -26,6 +26,8 @@ def made(name: str, engine: str) -> Environment:
         return probes.observed_action_reward()
     if name == "growing":
         return probes.growing(4 * STEPS_PER_UPDATE)
+    if name == "intention":
+        return probes.intention()
     info = catalog.find(name)
     return catalog.make(info, info.options(), engine_builder(engine))
 
@@ -46,12 +48,14 @@ def distance(one: bytes, other: bytes) -> float:
 
 
 def main(name: str, engine: str) -> None:
-    budget = {
+    budget: dict[str, Any] = {
         "num_timesteps": 2 * STEPS_PER_UPDATE,
         "episode_length": 5,
         "num_evals": 0,
         "reset_pool_size": 12,
     }
+    if name == "intention":
+        budget["network"] = INTENTION
     run = {"checkpoint_every_steps": STEPS_PER_UPDATE, **budget}
     one = checkpoints(small_run(made(name, engine), **run))
     eight = checkpoints(small_run(made(name, engine), devices=8, **run))

@@ -11,6 +11,16 @@ from core.environments.environment import Environment
 # 32 environments of 4 steps, in 4 minibatches of 32 unrolls: 512 environment steps in an update.
 STEPS_PER_UPDATE = 512
 
+# For `probes.intention`: an encoder of the first number that is seen.
+INTENTION: dict[str, Any] = {
+    "kind": "intention",
+    "latent": 2,
+    "encoder": [16],
+    "decoder": [16],
+    "places": [[0, 1]],
+    "kl_weight": 1e-3,
+}
+
 
 def small_settings(**changes: Any) -> PPOSpec:
     """Settings under which a probe is learnt in seconds."""

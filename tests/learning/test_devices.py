@@ -17,6 +17,7 @@ pytestmark = pytest.mark.extra
     ("environment", "engine"),
     [
         ("probe", "none"),
+        ("intention", "none"),
         pytest.param("growing", "none", marks=pytest.mark.slow),
         pytest.param("inverted_pendulum", "native", marks=pytest.mark.slow),
         pytest.param("inverted_pendulum", "mjx", marks=pytest.mark.slow),

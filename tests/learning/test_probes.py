@@ -5,11 +5,12 @@ from typing import Any
 import jax.numpy as jnp
 import pytest
 
+from core.algorithms.events import TrainingProgress
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.policy import policy_from_checkpoint
 from core.algorithms.run import Run
 from tests import probes
-from tests.learning.runs import last_evaluation, small_run, small_settings
+from tests.learning.runs import INTENTION, last_evaluation, small_run, small_settings
 
 
 def value(run: Run[Any], observation: float) -> float:
@@ -49,6 +50,22 @@ def test_the_policy_looks_at_the_observation() -> None:
     # The best action is ±0.5, as the observation says; not looking at it gives -0.25 at best.
     run = small_run(probes.observed_action_reward(), entropy_cost=1e-2)
     assert last_evaluation(run.events())["eval/episode_reward"] > -0.05
+
+
+def test_an_encoder_tells_a_decoder_that_sees_the_body_alone_what_is_wanted() -> None:
+    # Without z, the decoder would miss by 0.5: -0.25. Without the body, it would miss by 0.4: -0.16.
+    run = small_run(probes.intention(), entropy_cost=1e-2, network=INTENTION)
+    assert last_evaluation(run.events())["eval/episode_reward"] > -0.05
+
+
+def test_a_heavy_weight_of_the_divergence_leaves_nothing_of_what_is_wanted() -> None:
+    # z is then a standard normal whatever is wanted, and its mean says nothing: -0.25 at best.
+    run = small_run(probes.intention(), entropy_cost=1e-2, network={**INTENTION, "kl_weight": 100.0})
+    events = list(run.events())
+    progress = [event.metrics for event in events if isinstance(event, TrainingProgress)][-1]
+    assert progress["training/latent_kl"] < 1e-2
+    assert progress["training/latent_std"] == pytest.approx(1.0, abs=0.1)
+    assert last_evaluation(iter(events))["eval/episode_reward"] < -0.2
 
 
 def test_a_cut_off_episode_does_not_count_as_an_end() -> None:

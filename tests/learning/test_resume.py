@@ -19,7 +19,7 @@ from tests import probes
 from tests.learning.dqn_runs import STEPS_PER_UPDATE as DQN_STEPS_PER_UPDATE
 from tests.learning.dqn_runs import dqn_run
 from tests.learning.q_probes import q_run, q_settings, two_rooms
-from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
+from tests.learning.runs import INTENTION, STEPS_PER_UPDATE, checkpoints, small_run
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
 from tests.learning.sac_runs import sac_run
 
@@ -37,9 +37,13 @@ def ant(engine: EngineName) -> Environment:
 Begin = Callable[..., Run[Any]]
 
 
-def ppo(environment: Callable[[], Environment]) -> tuple[Begin, int]:
+def ppo(environment: Callable[[], Environment], **options: Any) -> tuple[Begin, int]:
     budget = {"num_timesteps": 6 * STEPS_PER_UPDATE, "episode_length": 5, "num_evals": 2}
-    return lambda **run: small_run(environment(), **budget, **run), STEPS_PER_UPDATE
+    return lambda **run: small_run(environment(), **budget, **options, **run), STEPS_PER_UPDATE
+
+
+# The weight of the divergence rises in all six updates.
+RAMPED = {**INTENTION, "kl_ramp_steps": 6 * STEPS_PER_UPDATE}
 
 
 def q_learning(**options: Any) -> tuple[Begin, int]:
@@ -79,6 +83,7 @@ REPLAYED: dict[str, Any] = {
         pytest.param(*q_learning(**REPLAYED), id="q_learning-replay-agents"),
         pytest.param(*sac(probe), id="sac-probe"),
         pytest.param(*dqn(probe), id="dqn-probe"),
+        pytest.param(*ppo(probes.intention, network=RAMPED), id="ppo-intention"),
         pytest.param(*ppo(probe), id="ppo-probe", marks=pytest.mark.extra),
         pytest.param(*ppo(partial(ant, "compiled")), id="ppo-ant-compiled", marks=pytest.mark.extra),
         pytest.param(*sac(probe, reset_pool_size=0), id="sac-first-states", marks=pytest.mark.extra),

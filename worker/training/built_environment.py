@@ -17,8 +17,9 @@ import jax
 from core.devices import gpu_indices
 from core.documents import Strict
 from core.environments import catalog
-from core.environments.environment import Environment
+from core.environments.environment import Environment, innermost
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.task import TaskEnv
 from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.jobs.resolved import ResolvedJob, resolve_job
@@ -63,8 +64,8 @@ def keep_machine_code() -> None:
 class BuiltEnvironment:
     """An environment, its engine and the reason for that.
 
-    job: resolved without a user's own model. num_devices: how many share a training. commit: of the code.
-    model: the file of a user's own.
+    job: resolved; of a user's own model it has the names of an observation's and an action's numbers alone.
+    num_devices: how many share a training. commit: of the code. model: the file of a user's own.
     """
 
     job: ResolvedJob
@@ -161,8 +162,26 @@ def build_environment(task: Task) -> BuiltEnvironment:
     if info.own_physics:
         engine, reason = info.own_physics, f"{info.id} brings its own physics."
     return BuiltEnvironment(
-        job, environment, device, name, engine, reason, num_devices, task.commit, _model_of(task)
+        _with_names(job, environment),
+        environment,
+        device,
+        name,
+        engine,
+        reason,
+        num_devices,
+        task.commit,
+        _model_of(task),
     )
+
+
+def _with_names(job: ResolvedJob, environment: Environment) -> ResolvedJob:
+    """The job with the names of a user's own model, which only the environment knows here."""
+    inner = innermost(environment)
+    if not job.info.takes_model or not isinstance(inner, TaskEnv):
+        return job
+    spaces = inner.spaces
+    sizes = {"observation_size": spaces.observation_size, "action_size": spaces.action_size}
+    return ResolvedJob(job.spec, replace(job.info, slices=lambda _: spaces, **sizes), job.options)
 
 
 def _choice(task: Task, info: EnvironmentInfo, device: Device, num_envs: int) -> EngineChoice:

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptron
 from core.algorithms.off_policy.spec import OffPolicySpec, environments_part, replay_part, replay_refusal
-from core.algorithms.ppo.spec import LayerSizes
+from core.algorithms.ppo.network_spec import LayerSizes
 from core.algorithms.q_learning.checks import problems_of_the_actions
 from core.algorithms.q_learning.spec import ActionSetOptions, choice_space
 from core.algorithms.spec import EpsilonSchedule

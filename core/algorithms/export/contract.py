@@ -8,6 +8,8 @@ from typing import Any
 from core.algorithms.export.network import PolicyNetwork
 
 FORMAT, VERSION = "gaitway-policy", 1
+# Of files with an encoder, which readers of the first version would leave out.
+VERSION_WITH_ENCODER = 2
 
 # Slices in their order, which cover the whole: name, start, size, unit, and others such as low and high.
 Parts = Sequence[Mapping[str, Any]]
@@ -35,11 +37,14 @@ class PolicyOrigin:
 def contract(network: PolicyNetwork, origin: PolicyOrigin) -> dict[str, Any]:
     """The contract as a JSON document (docs/export.md). Where no parts have names, the whole is one."""
     observation, action = network.observation_size, network.action_size
+    encoder = {}
+    if network.encoder:
+        encoder = {"encoder": {"num_layers": len(network.encoder), "encoded": list(network.encoded)}}
     robot = {} if origin.robot is None else {"robot": dict(origin.robot)}
     return {
         **robot,
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION_WITH_ENCODER if network.encoder else VERSION,
         "algorithm": origin.algorithm,
         "environment": {"id": origin.environment, "options": dict(origin.options)},
         "trained_steps": origin.trained_steps,
@@ -62,6 +67,7 @@ def contract(network: PolicyNetwork, origin: PolicyOrigin) -> dict[str, Any]:
             "num_layers": len(network.layers),
             "activation": network.activation,
             "normalized_max_abs": network.max_abs,
+            **encoder,
         },
     }
 

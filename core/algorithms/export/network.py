@@ -32,6 +32,9 @@ class PolicyNetwork:
     layers: an activation follows each but the last, whose outputs are 2 × action_size. observation_name:
     which one the policy sees, where an environment has several by name. action_repeat: environment steps for
     which an action is held.
+
+    encoder: layers that see the numbers `encoded` of the normalised observation; the first half of their
+    outputs, and then the other numbers, are what `layers` see. Empty: `layers` see the observation.
     """
 
     mean: Numbers
@@ -41,6 +44,8 @@ class PolicyNetwork:
     activation: str
     observation_name: str
     action_repeat: int
+    encoder: tuple[PolicyLayer, ...] = ()
+    encoded: tuple[int, ...] = ()
 
     @property
     def observation_size(self) -> int:
@@ -53,7 +58,12 @@ class PolicyNetwork:
     @property
     def size_bytes(self) -> int:
         """The size of all weights and biases."""
-        return sum(layer.kernel.nbytes + layer.bias.nbytes for layer in self.layers)
+        return sum(layer.kernel.nbytes + layer.bias.nbytes for layer in (*self.encoder, *self.layers))
+
+    @property
+    def not_encoded(self) -> tuple[int, ...]:
+        """The other numbers of the observation than `encoded`."""
+        return tuple(sorted({*range(self.observation_size)} - {*self.encoded}))
 
 
 def network_of(policy_file: bytes) -> PolicyNetwork:
@@ -67,14 +77,20 @@ def network_of(policy_file: bytes) -> PolicyNetwork:
     std: Any = params.normalizer.std
     if isinstance(mean, Mapping):
         mean, std = mean[config.policy_obs_key], std[config.policy_obs_key]
+    parts = params.policy["params"]
+    has_encoder = config.encoder_places is not None
     return PolicyNetwork(
         mean=_float32(mean),
         std=_float32(std),
         max_abs=config.normalize_observations_max_abs_value,
-        layers=_layers(params.policy["params"]),
+        layers=_layers(parts["decoder"] if has_encoder else parts),
         activation=config.activation,
         observation_name=config.policy_obs_key,
         action_repeat=config.action_repeat,
+        encoder=_layers(parts["encoder"]) if has_encoder else (),
+        encoded=tuple(
+            start + number for start, size in config.encoder_places or () for number in range(size)
+        ),
     )
 
 

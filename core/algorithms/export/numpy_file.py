@@ -17,8 +17,9 @@ def numpy_file(network: PolicyNetwork, about: Mapping[str, Any]) -> bytes:
         "observation_mean": network.mean,
         "observation_std": network.std,
     }
-    for number, layer in enumerate(network.layers):
-        arrays |= {f"kernel_{number}": layer.kernel, f"bias_{number}": layer.bias}
+    for prefix, layers in (("", network.layers), ("encoder_", network.encoder)):
+        for number, layer in enumerate(layers):
+            arrays |= {f"{prefix}kernel_{number}": layer.kernel, f"{prefix}bias_{number}": layer.bias}
     file = io.BytesIO()
     np.savez(file, **arrays)
     return file.getvalue()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from core.algorithms.export.contract import as_text
-from core.algorithms.export.network import NotExportable, PolicyNetwork
+from core.algorithms.export.network import NotExportable, PolicyLayer, PolicyNetwork
 
 # The versions of 2021, which runtimes of phones and robots read, too.
 _OPSET, _IR_VERSION = 15, 8
@@ -65,12 +65,14 @@ def add_policy(graph: Graph, network: PolicyNetwork, observation: str) -> None:
     if network.size_bytes > _MOST_BYTES:
         raise NotExportable(f"its network has {network.size_bytes:,} bytes, and an ONNX file holds 2 GiB")
     values = _normalized(graph, network, observation)
-    for number, layer in enumerate(network.layers[:-1]):
-        values = ACTIVATIONS[network.activation](
-            graph, _dense(graph, values, number, layer.kernel, layer.bias)
+    if network.encoder:
+        seen, others = (
+            graph.add("Gather", values, graph.places(name, numbers), axis=1)
+            for name, numbers in (("encoded", network.encoded), ("not_encoded", network.not_encoded))
         )
-    last, half = network.layers[-1], network.action_size  # The other half is the noise's scale.
-    location = _dense(graph, values, len(network.layers) - 1, last.kernel[:, :half], last.bias[:half])
+        latent = _means(graph, seen, network.encoder, network.activation, "encoder_")
+        values = graph.add("Concat", latent, others, axis=1)
+    location = _means(graph, values, network.layers, network.activation)
     graph.add("Tanh", location, output="action")
 
 
@@ -103,11 +105,19 @@ def _normalized(graph: Graph, network: PolicyNetwork, observation: str) -> str:
     return graph.add("Clip", deviations, *bounds)
 
 
-def _dense(
-    graph: Graph, values: str, number: int, kernel: NDArray[np.float32], bias: NDArray[np.float32]
+def _means(
+    graph: Graph, values: str, layers: Sequence[PolicyLayer], activation: str, prefix: str = ""
 ) -> str:
-    weights = (graph.constant(f"kernel_{number}", kernel), graph.constant(f"bias_{number}", bias))
-    return graph.add("Gemm", values, *weights)
+    """The first half of the last layer's outputs; the other half are deviations."""
+    for number, layer in enumerate(layers):
+        is_last = number == len(layers) - 1
+        wanted = slice(len(layer.bias) // 2) if is_last else slice(None)
+        kernel = graph.constant(f"{prefix}kernel_{number}", layer.kernel[:, wanted])
+        bias = graph.constant(f"{prefix}bias_{number}", layer.bias[wanted])
+        values = graph.add("Gemm", values, kernel, bias)
+        if not is_last:
+            values = ACTIVATIONS[activation](graph, values)
+    return values
 
 
 def _one(operation: str, **attributes: Any) -> Callable[[Graph, str], str]:

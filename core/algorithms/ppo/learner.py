@@ -20,7 +20,6 @@ from core.algorithms.brax_training import (
     RunningStatisticsState,
     Transition,
     init_normalizer,
-    make_inference_fn,
     normalization,
     running_statistics,
 )
@@ -37,6 +36,7 @@ from core.algorithms.experience import (
     summarise,
 )
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
+from core.algorithms.ppo.intention import LATENT_METRICS
 from core.algorithms.ppo.kernels import layout
 from core.algorithms.ppo.loss import (
     ADAM,
@@ -47,8 +47,9 @@ from core.algorithms.ppo.loss import (
     descend,
     linear,
     loss_of,
+    ramped,
 )
-from core.algorithms.ppo.networks import init_params, make_networks
+from core.algorithms.ppo.networks import acting, init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.sharding import ONE_DEVICE, Sharding
 from core.environments.environment import Environment
@@ -145,9 +146,8 @@ class Learner:
         act_key, learn_key, next_key, starts_key = jax.random.split(state.key, 4)
         progress = self._progress(state.num_updates)
         networks = self._networks(normalize=settings.normalize_observations)
-        policy = make_inference_fn(networks, compute_value=self._values_are_kept)(
-            (state.normalizer, state.params.policy, state.params.value)
-        )
+        params = (state.normalizer, state.params.policy, state.params.value)
+        policy = acting(networks, params, compute_value=self._values_are_kept)
         episodes, (transitions, outcome) = collect(
             self._envs,
             policy,
@@ -176,6 +176,8 @@ class Learner:
         decays = settings.learning_rate_schedule == "LINEAR"
         if decays:
             hyperparameters = _decayed(hyperparameters, state.num_updates)
+        if settings.network is not None:
+            hyperparameters = ramped(hyperparameters, state.num_updates, settings.env_steps_per_update)
         (params, optimizer, learning_rate), metrics = self._learn(state, batch, hyperparameters, learn_key)
         if decays:
             metrics = metrics | {"learning_rate": learning_rate}
@@ -253,7 +255,8 @@ class Learner:
             return (*learnt, hyperparameters.learning_rate), metrics
         num_unrolls = settings.batch_size * settings.num_minibatches
         loss = loss_of(settings, self._networks(normalize=False), state.normalizer, hyperparameters)
-        names = (*METRICS, "grad_norm", *(["learning_rate"] if self._adapts_to_kl else []))
+        of_latents = () if settings.network is None else LATENT_METRICS
+        names = (*METRICS, *of_latents, "grad_norm", *(["learning_rate"] if self._adapts_to_kl else []))
         # One vector for all parameters, and one for all metrics: one kernel each, not one for each layer.
         vector, unpack = ravel_pytree(state.params)
         packed = state.optimizer._replace(
@@ -371,7 +374,7 @@ class PPO:
         )
         return run_episodes(
             environment,
-            make_inference_fn(networks)(evaluated, deterministic=settings.deterministic_eval),
+            acting(networks, evaluated, deterministic=settings.deterministic_eval),
             jax.random.fold_in(key, update),
             num_envs=settings.num_eval_envs,
             episode_length=settings.actions_per_episode,
@@ -398,7 +401,8 @@ class PPO:
 
     def policy(self, state: TrainingState) -> bytes:
         """(normaliser, policy, value) in the file that `brax.io.model.load_params` reads."""
-        config = PolicyConfig.of(self.settings.model_dump())
+        places = {"encoder_places": self.settings.encoder_places}
+        config = PolicyConfig.of(self.settings.model_dump() | places)
         return write_policy(PolicyParams(state.normalizer, state.params.policy, state.params.value, config))
 
     def tables(self, state: TrainingState) -> Mapping[str, NDArray[Any]]:

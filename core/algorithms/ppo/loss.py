@@ -6,6 +6,7 @@ network, and no loop over time. Its numbers are Brax's but for rounding.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, cast
 
 import jax
@@ -18,14 +19,18 @@ from core.algorithms.brax_training import (
     RunningStatisticsState,
     Transition,
 )
+from core.algorithms.ppo.intention import LATENT_METRICS, IntentionPolicy, Latent
 from core.algorithms.ppo.spec import PPOSpec
+
+_OF_ENCODERS = ("kl_weight", "kl_ramp_steps", "smoothness_weight")
 
 
 @struct.dataclass
 class Hyperparameters:
     """The numbers that may change without recompiling; [] float32 each, infinite where a bound is not set.
 
-    num_updates: of the whole run. Everything else is compiled in.
+    num_updates: of the whole run. kl_weight, kl_ramp_steps, smoothness_weight: of an encoder; 0 without one.
+    Everything else is compiled in.
     """
 
     learning_rate: jax.Array
@@ -41,11 +46,16 @@ class Hyperparameters:
     vf_loss_coefficient: jax.Array
     max_grad_norm: jax.Array
     num_updates: jax.Array
+    kl_weight: jax.Array
+    kl_ramp_steps: jax.Array
+    smoothness_weight: jax.Array
 
     @classmethod
     def of(cls, settings: PPOSpec) -> "Hyperparameters":
         keywords = {name: getattr(settings, name) for name in settings.arguments}
-        numbers = {**keywords, "num_updates": settings.num_updates}
+        network = settings.network
+        of_encoder = {name: 0.0 if network is None else getattr(network, name) for name in _OF_ENCODERS}
+        numbers = {**keywords, **of_encoder, "num_updates": settings.num_updates}
         return cls(
             **{name: jnp.float32(jnp.inf if value is None else value) for name, value in numbers.items()}
         )
@@ -75,6 +85,7 @@ def loss_of(
 ) -> Loss:
     """(parameters, minibatch [unrolls, unroll_length, ...], key) -> (loss [], its parts by Brax's names).
 
+    Where the policy has an encoder, the loss has two more parts, of z, and there are `LATENT_METRICS`.
     networks: do not normalise, because that is done once for the batch, not in every minibatch.
     Source: Schulman et al., Proximal Policy Optimization Algorithms (2017), eq. 9.
     """
@@ -86,7 +97,13 @@ def loss_of(
         extras = data.extras
         acted, truncation = extras["policy_extras"], extras["state_extras"]["truncation"]
         # The normaliser is not used: these networks do not normalise.
-        logits = networks.policy_network.apply(normalizer, params.policy, data.observation)
+        latent: Latent | None = None
+        if isinstance(networks.policy_network, IntentionPolicy):
+            latent = networks.policy_network.encode(normalizer, params.policy, data.observation)
+            z = latent.sample(acted["latent_noise"])
+            logits = networks.policy_network.decode(params.policy, z, latent.body)
+        else:
+            logits = networks.policy_network.apply(normalizer, params.policy, data.observation)
         seen = jax.tree.map(
             lambda x, after: jnp.concatenate([x, after[-1:]]), data.observation, data.next_observation
         )
@@ -112,10 +129,17 @@ def loss_of(
         v_loss = jnp.mean(errors) * 0.5 * costs.vf_loss_coefficient
         entropy_loss = costs.entropy_cost * -jnp.mean(distribution.entropy(logits, key))
         total = policy_loss + v_loss + entropy_loss
+        of_latent: dict[str, jax.Array] = {}
+        if latent is not None:
+            divergence = jnp.mean(latent.divergence)
+            moved = latent.step(data.discount * (1 - truncation))
+            total += costs.kl_weight * divergence + costs.smoothness_weight * moved
+            values = (divergence, jnp.mean(jnp.exp(latent.log_std)), moved, costs.kl_weight)
+            of_latent = dict(zip(LATENT_METRICS, values, strict=True))
         now, then = (distribution.create_dist(x) for x in (logits, acted["distribution_params"]))
         parts = (total, policy_loss, v_loss, entropy_loss, jnp.mean(now.kl_divergence(then)))
         described = (of(x) for of in (jnp.mean, jnp.max, jnp.min) for x in (now.scale, now.loc))
-        return total, dict(zip(METRICS, (*parts, *described), strict=True))
+        return total, dict(zip(METRICS, (*parts, *described), strict=True)) | of_latent
 
     return loss
 
@@ -195,3 +219,13 @@ def linear(
     Algorithms, 2017, Table 5.
     """
     return jnp.maximum(lowest, learning_rate * (1.0 - num_updates / budget))
+
+
+def ramped(
+    hyperparameters: Hyperparameters, num_updates: jax.Array, steps_per_update: int
+) -> Hyperparameters:
+    """With the weight of z's divergence after so many updates: a line from 0 over `kl_ramp_steps`."""
+    steps = num_updates.astype(jnp.float32) * steps_per_update
+    share = jnp.minimum(steps / jnp.maximum(hyperparameters.kl_ramp_steps, 1.0), 1.0)
+    share = jnp.where(hyperparameters.kl_ramp_steps > 0, share, 1.0)
+    return replace(hyperparameters, kl_weight=hyperparameters.kl_weight * share)

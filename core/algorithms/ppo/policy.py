@@ -7,10 +7,10 @@ from typing import Any, cast
 import jax
 from flax import serialization
 
-from core.algorithms.brax_training import init_normalizer, make_inference_fn
+from core.algorithms.brax_training import init_normalizer
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, Triple, config_of, read_policy
 from core.algorithms.ppo.learner import FORMAT
-from core.algorithms.ppo.networks import make_networks
+from core.algorithms.ppo.networks import acting, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.trained_policy import TrainedPolicy, of_network
 from core.environments.environment import ObservationSize
@@ -26,9 +26,8 @@ def make_inference(params: PolicyParams | Triple, *, deterministic: bool = True)
     distribution instead of a sample; the key is then not used.
     """
     observation_size, action_size, settings = _sizes(params)
-    policy = make_inference_fn(make_networks(observation_size, action_size, settings))(
-        tuple(params), deterministic=deterministic
-    )
+    networks = make_networks(observation_size, action_size, settings)
+    policy = acting(networks, tuple(params), deterministic=deterministic)
 
     def act(observation: Any, key: jax.Array) -> jax.Array:
         return policy(observation, key)[0]
@@ -59,15 +58,24 @@ def policy_from_checkpoint(content: bytes) -> PolicyParams:
 def _sizes(params: PolicyParams | Triple) -> tuple[ObservationSize, int, PPOSpec]:
     """Observation size, action size, and settings with the networks that these parameters were made for."""
     normalizer, policy, value = params
-    policy_layers, value_layers = _layers(policy), _layers(value)
-    hidden = {
-        "policy_hidden_layer_sizes": policy_layers[1:-1],
-        "value_hidden_layer_sizes": value_layers[1:-1],
-    }
-    settings = PPOSpec.model_validate(hidden | asdict(config_of(params)))
+    facts = asdict(config_of(params)) | {"value_hidden_layer_sizes": _layers(value)[1:-1]}
+    if places := facts.pop("encoder_places"):
+        encoder, last_layers = (
+            _layers({"params": policy["params"][name]}) for name in ("encoder", "decoder")
+        )
+        facts["network"] = {
+            "kind": "intention",
+            "latent": encoder[-1] // 2,
+            "encoder": encoder[1:-1],
+            "decoder": last_layers[1:-1],
+            "places": list(places),
+        }
+    else:
+        last_layers = _layers(policy)
+        facts["policy_hidden_layer_sizes"] = last_layers[1:-1]
     sizes: Any = jax.tree.map(lambda mean: mean.shape[-1], normalizer.mean)
     # The last layer gives a location and a scale for each component of an action.
-    return sizes, policy_layers[-1] // 2, settings
+    return sizes, last_layers[-1] // 2, PPOSpec.model_validate(facts)
 
 
 def _layers(network: Any) -> list[int]:

@@ -3,18 +3,19 @@
 Also which of them go together, and the least memory of a run.
 """
 
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
 from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptron
+from core.algorithms.ppo.network_spec import IntentionNetwork, LayerSizes
 from core.algorithms.spec import BaseSpec, check_curriculum
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
 Activation = Literal["swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus"]
 ObservationName = Annotated[str, Field(min_length=1, max_length=64)]
-LayerSizes = Annotated[list[Annotated[int, Field(ge=1, le=8192)]], Field(min_length=1, max_length=16)]
 
 
 class PPOSpec(BaseSpec):
@@ -30,6 +31,8 @@ class PPOSpec(BaseSpec):
         "action_repeat",
         "policy_hidden_layer_sizes",
         "value_hidden_layer_sizes",
+        "network_shape",
+        "encoder_places",
         "activation",
         "policy_obs_key",
         "value_obs_key",
@@ -156,6 +159,11 @@ class PPOSpec(BaseSpec):
     num_eval_envs: int = Field(default=16, ge=1, le=2**16, description="Episodes per evaluation.")
     deterministic_eval: bool = True
     policy_hidden_layer_sizes: LayerSizes = [32, 32, 32, 32]
+    network: IntentionNetwork | None = Field(
+        default=None,
+        description="The policy's network in place of a perceptron of policy_hidden_layer_sizes; null: that "
+        "perceptron.",
+    )
     value_hidden_layer_sizes: LayerSizes = [256, 256, 256, 256, 256]
     activation: Activation = Field(
         default="swish", description="Activation function of both networks, by Brax's name."
@@ -169,6 +177,25 @@ class PPOSpec(BaseSpec):
         description="The value function's observation, in an environment with several by name; where there "
         "is a `critic`, by default that (`privileged_state`).",
     )
+
+    @property
+    def network_shape(self) -> Mapping[str, Any] | None:
+        """The sizes of the policy's network, where that is no perceptron."""
+        network = self.network
+        return (
+            None if network is None else network.model_dump(include={"kind", "latent", "encoder", "decoder"})
+        )
+
+    @property
+    def encoder_places(self) -> list[list[int]] | None:
+        """`network.places`, as a checkpoint's header has them."""
+        places = None if self.network is None else self.network.places
+        return None if places is None else [list(place) for place in places]
+
+    def of_environment(self, environment: EnvironmentInfo) -> Self:
+        if self.network is None:
+            return self
+        return self.model_copy(update={"network": self.network.placed(environment, self.policy_obs_key)})
 
     @property
     def env_steps_per_update(self) -> int:
@@ -292,8 +319,9 @@ def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: i
     observation, action = sum(sizes.values()), environment.action_size or 0
     transitions = settings.batch_size * settings.num_minibatches * settings.unroll_length // num_devices
     numbers = observation + action + _SCALARS
-    # The policy puts out a mean and a deviation for each component.
-    parameters = perceptron([sizes[settings.policy_obs_key], *settings.policy_hidden_layer_sizes, 2 * action])
+    parameters = _policy_parameters(settings, sizes[settings.policy_obs_key], action)
+    if settings.network is not None:
+        numbers += settings.network.latent  # The noise of z.
     parameters += perceptron([sizes[settings.value_obs_key], *settings.value_hidden_layer_sizes, 1])
     num_envs = settings.num_envs // num_devices
     return MemoryNeed(
@@ -306,7 +334,10 @@ def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: i
             MemoryPart(
                 f"networks of {parameters:,} parameters with their gradient and Adam's moments",
                 FLOAT_BYTES * _COPIES * parameters,
-                ("policy_hidden_layer_sizes", "value_hidden_layer_sizes"),
+                (
+                    "policy_hidden_layer_sizes" if settings.network is None else "network",
+                    "value_hidden_layer_sizes",
+                ),
             ),
             # Their observations; the rest of their state depends on the model.
             MemoryPart(
@@ -314,3 +345,14 @@ def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: i
             ),
         )
     )
+
+
+def _policy_parameters(settings: PPOSpec, observation: int, action: int) -> int:
+    """How many the policy has. It puts out a mean and a deviation for each component."""
+    network = settings.network
+    if network is None:
+        return perceptron([observation, *settings.policy_hidden_layer_sizes, 2 * action])
+    seen = sum(size for _, size in network.places or ())
+    encoder = perceptron([seen, *network.encoder, 2 * network.latent])
+    decoder = perceptron([network.latent + observation - seen, *network.decoder, 2 * action])
+    return encoder + decoder

@@ -15,7 +15,7 @@ from core.algorithms.off_policy.spec import (
     replay_part,
     replay_refusal,
 )
-from core.algorithms.ppo.spec import LayerSizes
+from core.algorithms.ppo.network_spec import LayerSizes
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
 

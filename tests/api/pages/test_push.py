@@ -14,6 +14,7 @@ from playwright.sync_api import Browser, Page, expect
 from core.algorithms.export.contract import PolicyOrigin, contract
 from core.algorithms.export.network import PolicyLayer, PolicyNetwork
 from core.algorithms.export.numpy_file import numpy_file
+from core.algorithms.ppo.spec import PPOSpec
 from core.environments.mujoco_env import MujocoEnv
 from core.jobs.status import JobStatus
 from core.rendering.replay.replay import replay_of, scene_of
@@ -21,6 +22,7 @@ from core.rendering.timeline import EpisodeMotion
 from gaitway import exported_policy
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.pages.conftest import MakeTab, Tab, flaws
+from tests.exports import numpy_file_of, policy_file
 from tests.extra import extra
 from tests.unit.environments.test_simulation import BODIES, of_a_user, of_the_catalog
 
@@ -138,6 +140,25 @@ def test_the_browser_observes_and_acts_as_the_environment_does(
         state = environment.step(state, jax.numpy.array(action))
         np.testing.assert_allclose(observation, state.obs, rtol=1e-2, atol=1e-2)
         assert ended == state.done
+
+
+# The page's own module acts once.
+ACTED = """async ({policy, observation}) => {
+  const pages = document.querySelector("script[src]").src.replace("app.js", "");
+  const {readPolicy} = await import(pages + "lib/push/policy.js");
+  return [...readPolicy(new Uint8Array(policy).buffer).act(Float64Array.from(observation))];
+}"""
+
+
+def test_the_browser_acts_with_an_encoder_as_the_file_says(browser: Browser, stack: Stack) -> None:
+    network = {"kind": "intention", "latent": 2, "encoder": [5], "decoder": [6], "places": [[2, 1], [0, 1]]}
+    seen = np.random.default_rng(0).normal(size=(8, 4)).astype(np.float32)
+    policy = numpy_file_of(policy_file(PPOSpec.model_validate({"network": network}), seen, 3))
+    page = browser.new_page()
+    page.goto(f"http://127.0.0.1:{stack.port}/#/workers")
+    action = page.evaluate(ACTED, {"policy": list(policy), "observation": seen[0].tolist()})
+    page.context.close()
+    np.testing.assert_allclose(action, exported_policy.load(io.BytesIO(policy))(seen[0]), atol=1e-5)
 
 
 # The page's own module begins an episode, without noise.

@@ -72,6 +72,15 @@ def test_a_policy_under_any_option_acts_as_in_jax(algorithm: str, options: dict[
     assert_acts_as_in_jax(settings(algorithm, **options), some(5), 2)
 
 
+def test_a_policy_with_an_encoder_acts_as_in_jax() -> None:
+    network = {"kind": "intention", "latent": 3, "encoder": [6], "decoder": [7], "places": [[3, 1], [0, 2]]}
+    chosen = settings(network=network, normalize_observations_max_abs_value=2.0)
+    assert_acts_as_in_jax(chosen, some(5), 2)
+    about = contract(network_of(policy_file(chosen, some(5), 2)), ORIGIN)
+    # Readers of the first version would leave the encoder out.
+    assert (about["version"], about["network"]["encoder"]["encoded"]) == (2, [3, 0, 1])
+
+
 @pytest.mark.parametrize(("own", "values"), [("state", "other"), ("other", "state")])
 def test_of_several_observations_a_policy_takes_its_own(own: str, values: str) -> None:
     chosen = settings(policy_obs_key=own, value_obs_key=values)
@@ -177,7 +186,7 @@ def test_the_programs_of_the_page_run(tmp_path: Path, number: int) -> None:
     subprocess.run([sys.executable, "-W", "error", "-c", programs[number]], cwd=tmp_path, check=True)
 
 
-@pytest.mark.parametrize("about", [None, '{"format": "gaitway-policy", "version": 2}', '{"format": "other"}'])
+@pytest.mark.parametrize("about", [None, '{"format": "gaitway-policy", "version": 3}', '{"format": "other"}'])
 def test_the_loader_refuses_other_files(about: str | None) -> None:
     file = io.BytesIO()
     np.savez(file, **({} if about is None else {"about": np.array(about)}))

@@ -59,7 +59,7 @@ def ppo_files(settings: PPOSpec, *, by_name: bool = False) -> Mapping[bool, byte
     normalizer = init_normalizer(sizes)
     if settings.normalize_observations:
         normalizer = running_statistics.update(normalizer, SEEN if by_name else SEEN["state"])
-    config = PolicyConfig.of(settings.model_dump())
+    config = PolicyConfig.of(settings.model_dump() | {"encoder_places": settings.encoder_places})
     state = {"normalizer": normalizer, "params": {"policy": trained.policy, "value": trained.value}}
     description = describe(probes.endless(), settings) | {"observation_size": sizes, "action_size": 2}
     return {
@@ -205,6 +205,7 @@ def test_a_network_of_any_activation_acts_alike(tmp_path: Path, activation: str,
     [
         ("ppo", {"normalize_observations_max_abs_value": 0.5}),
         ("sac", {"action_repeat": 3}),
+        ("ppo", {"network": {"kind": "intention", "latent": 2, "places": [[0, 1], [2, 1]]}}),
         *extra(
             *product(
                 NETWORKS,
@@ -231,7 +232,7 @@ def test_a_network_reads_its_own_of_several_observations(tmp_path: Path, own: st
 def test_no_option_of_a_network_is_left_out() -> None:
     # Those that the tests above vary; value_obs_key changes the value network alone.
     varied = {"activation", "normalize_observations_max_abs_value", "action_repeat", "policy_obs_key"}
-    assert {field.name for field in fields(PolicyConfig)} == varied | {"value_obs_key"}
+    assert {field.name for field in fields(PolicyConfig)} == varied | {"encoder_places", "value_obs_key"}
 
 
 TARGET = {"xy_direction_to_target": jnp.array([-1.0, -0.1]), "disk_rotation": jnp.array([0.0, 0.0, 0.4])}

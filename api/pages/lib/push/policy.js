@@ -16,23 +16,36 @@ const ACTIVATIONS = {
 export function readPolicy(bytes) {
   const arrays = readNpz(bytes);
   const about = JSON.parse(arrays.about || "{}");
-  if (about.format !== "gaitway-policy" || about.version !== 1) throw new Error("This file is not a policy that the page knows.");
+  if (about.format !== "gaitway-policy" || ![1, 2].includes(about.version)) throw new Error("This file is not a policy that the page knows.");
   const { num_layers: numLayers, activation, normalized_max_abs: bound } = about.network;
   const bend = ACTIVATIONS[activation];
   if (!bend) throw new Error(`The page has no activation ${activation}.`);
-  const layers = Array.from({ length: numLayers }, (_, i) => [arrays[`kernel_${i}`], arrays[`bias_${i}`]]);
+  const named = (prefix, number) =>
+    Array.from({ length: number }, (_, i) => [arrays[`${prefix}kernel_${i}`], arrays[`${prefix}bias_${i}`]]);
+  const layers = named("", numLayers);
+  const { num_layers: numEncoding, encoded } = about.network.encoder ?? { num_layers: 0, encoded: [] };
+  const encoder = named("encoder_", numEncoding);
+  const isEncoded = new Set(encoded);
   const { observation_mean: mean, observation_std: std } = arrays;
   const most = bound ?? Infinity;
   const act = (observation) => {
     let values = observation.map((value, i) => Math.min(Math.max((value - mean[i]) / std[i], -most), most));
-    layers.forEach(([kernel, bias], i) => {
-      values = times(values, kernel, bias);
-      if (i < numLayers - 1) values = values.map(bend);
-    });
-    // The second half are deviations, with which training explores.
-    return values.slice(0, values.length / 2).map(Math.tanh);
+    if (encoder.length) {
+      const others = values.filter((_, i) => !isEncoded.has(i));
+      values = [...means(encoder, encoded.map((i) => values[i]), bend), ...others];
+    }
+    return means(layers, values, bend).map(Math.tanh);
   };
   return { about, act };
+}
+
+/** The first half of what the layers give; the other half are deviations, with which training explores. */
+function means(layers, values, bend) {
+  layers.forEach(([kernel, bias], i) => {
+    values = times(values, kernel, bias);
+    if (i < layers.length - 1) values = values.map(bend);
+  });
+  return values.slice(0, values.length / 2);
 }
 
 /** values [n] · kernel [n × m] + bias [m]. */

@@ -181,7 +181,8 @@ def fits(settings: PPOSpec, observation_size: ObservationSize, action_size: int)
     num_observations = settings.batch_size * settings.num_minibatches * (settings.unroll_length + 1)
     widest = max(*settings.policy_hidden_layer_sizes, *settings.value_hidden_layer_sizes, action_size)
     return (
-        widest <= _WIDEST_LAYER
+        settings.network is None
+        and widest <= _WIDEST_LAYER
         and observation_size <= _WIDEST_OBSERVATION
         and rows >= _LEAST_ROWS
         and settings.batch_size // rows <= _MOST_BLOCKS
