@@ -256,7 +256,7 @@ class GaitwayWorker(rq.Worker):
         """Those that it asks now, in their order: a pool's worker asks for no more GPUs than are free."""
         queues = self.queues
         if self._membership is not None:
-            most = len(self._membership.free)
+            most = self._membership.most_gpus
             queues = [queue for queue in queues if kind_of_queue(queue.name).gpus <= most]
         self._ordered_queues = sorted(queues, key=lambda queue: queue.name in self._had_turns)
 
@@ -314,8 +314,18 @@ class GaitwayWorker(rq.Worker):
                 return self._gang.problem if self._gang else None
             case "lent" | "kept":
                 return self._membership.problem if self._membership else None
+            case "ready" if self._membership is not None:
+                return self._membership.problem
             case _:
                 return self._health.problem
+
+    @property
+    def _served(self) -> tuple[str, ...]:
+        """The queues whose jobs it could have once others have ended."""
+        if self._membership is None:
+            return self._info.queues
+        most = self._membership.pool.most_gpus
+        return tuple(name for name in self._info.queues if kind_of_queue(name).gpus <= most)
 
     def _show_idle(self) -> None:
         try:
@@ -363,6 +373,7 @@ class GaitwayWorker(rq.Worker):
             "job": job_of(job) if job else None,
             "state": self._shown_state,
             "problem": self._problem,
+            "queues": self._served,
         }
         info = self._info.model_copy(update={"seen_at": utc_now(), **news})
         self._is_announcing = True

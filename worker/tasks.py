@@ -77,7 +77,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
     gang = gang_here()
     take = partial(
         claim_turn,
-        queue_names(device, 1 if gang is None else gang.place.hosts, 1 if pool is None else len(pool.locks)),
+        queue_names(device, 1 if gang is None else gang.place.hosts, 1 if pool is None else pool.most_gpus),
         worker,
         store=store,
         objects=object_store(settings, observe=tallies.observe_store),
@@ -117,6 +117,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
         device_test=device_health.command_for(device),
         gang=gang,
         held=held,
+        pool=pool,
         tallies=tallies,
     )
     supervisor.run()

@@ -19,6 +19,7 @@ from core.installation import to_install, to_install_robots
 from core.jobs.job import Job
 from core.jobs.queue import queue_of
 from core.jobs.resolved import resolve_job
+from core.jobs.slots import kind_of_queue
 from core.jobs.spec import JobSpec, TrainSpec
 from core.jobs.status import JobStatus
 from core.physics.availability import PACKAGES
@@ -36,10 +37,11 @@ class WorkerInfo(Stored):
     no report names them, the store adds them. state: a `ready` worker takes jobs or has one; it takes none
     while it tests its device, after that has failed a test, while it lacks a host, while a job of another
     worker of its pool has its GPU (`lent`), or while GPUs are kept for a larger job (`kept`). problem: a
-    sentence on that. hosts: how many machines, each with such a device, take a job together. pool: the GPUs
-    of its host, its own among them, that jobs of any number share out. memory_bytes: of each device, where
-    known. packages: the optional packages that it has; null if a worker of an older version did not report
-    them. allocation: what the cluster that started it calls the allocation it runs in.
+    sentence on that, or on GPUs of its pool that fail together. hosts: how many machines, each with such a
+    device, take a job together. pool: the GPUs of its host, its own among them, that jobs of any number share
+    out. memory_bytes: of each device, where known. packages: the optional packages that it has; null if a
+    worker of an older version did not report them. allocation: what the cluster that started it calls the
+    allocation it runs in.
     """
 
     name: str
@@ -242,7 +244,9 @@ def _problems(workers: Sequence[WorkerInfo]) -> str:
 
 def _has(worker: WorkerInfo) -> str:
     if worker.pool is not None:
-        return f"{len(gpu_indices(worker.pool))} GPUs of one host"
+        gpus = f"{len(gpu_indices(worker.pool))} GPUs of one host"
+        are_shared_out = any(kind_of_queue(queue).gpus > 1 for queue in worker.queues)
+        return gpus if are_shared_out else f"{gpus} that fail together"
     return worker.device if worker.hosts == 1 else f"{worker.device} on each of {worker.hosts} hosts"
 
 

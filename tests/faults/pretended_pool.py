@@ -3,13 +3,19 @@
 `python -m tests.faults.pretended_pool` is `worker.fleet`, and with `member` a worker that it starts.
 """
 
+import os
 import sys
 from functools import partial
 
 from worker.host import device, device_health
 
 device.visible_gpus = lambda dev=device.DEV: [f"nvidia{number}" for number in range(4)]  # type: ignore[misc]
-device_health.command_for = lambda device: ("/bin/true",)  # type: ignore[assignment]
+# Several GPUs fail together while this file is there.
+_APART = f"{os.environ['PROBE_WAITS_FOR']}/fail-together"
+_TEST = f"echo '{device_health.EACH_WORKS}'; test ! -e {_APART} || {{ echo 'NCCL error.'; exit 1; }}"
+device_health.command_for = lambda device: (  # type: ignore[assignment]
+    ("/bin/sh", "-c", _TEST) if "," in device else ("/bin/true",)
+)
 
 import worker.fleet  # noqa: E402 # After what is pretended.
 import worker.main  # noqa: E402

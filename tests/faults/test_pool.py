@@ -13,11 +13,11 @@ import redis
 
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
-from core.devices import gpu_indices
+from core.devices import device_name, gpu_indices
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus
-from core.jobs.workers import WorkerInfo
+from core.jobs.workers import WorkerInfo, what_it_waits_for
 from core.reasons import Reason
 from core.settings import WorkerSettings
 from tests.faults.bench import wait_until
@@ -74,6 +74,20 @@ class Machine:
         wait_until(has_said)
         return set(map(int, seen))
 
+    def training(self, job: Job) -> psutil.Process:
+        """The process of its last attempt."""
+        spool = f"{job.id}.{self.num_attempts(job)}"
+        (found,) = [
+            process
+            for process in psutil.Process(self.fleet.pid).children(recursive=True)
+            if any(spool in word for word in process.cmdline())
+        ]
+        return found
+
+    def let_fail_together(self) -> None:
+        """From now on, no GPUs of the machine work together."""
+        (self._folder / "fail-together").touch()
+
     def worker_of(self, gpu: int) -> WorkerInfo:
         """The newest."""
         found = [worker for worker in self.store.workers() if gpu_indices(worker.device) == [gpu]]
@@ -120,6 +134,30 @@ def test_small_jobs_do_not_starve_one_of_all_gpus(machine: Machine) -> None:
     assert [attempt.reason for attempt in machine.store.get(four.id).attempts] == [Reason.COMPLETED]
 
 
+def test_gpus_that_fail_together_are_given_to_jobs_of_one_alone(machine: Machine) -> None:
+    two = machine.submit(2)
+    machine.wait_for(JobStatus.RUNNING, two)
+    given = device_name(sorted(machine.gpus(two)))
+    machine.let_fail_together()
+    machine.training(two).send_signal(signal.SIGSEGV)
+    machine.wait(lambda: machine.num_attempts(two) == 1 and machine.statuses(two) == [JobStatus.QUEUED])
+    (failed,) = machine.store.get(two.id).attempts
+    assert failed.reason == Reason.DEVICE_FAILED
+    said = f"A test of the device {given} failed (status 1): NCCL error."
+    assert (failed.message or "").endswith(said)
+    only_one = f"It takes only jobs of one GPU for an hour. {said}"
+    machine.wait(lambda: [worker.problem for worker in machine.store.workers()] == [only_one] * 4)
+    waits = what_it_waits_for(machine.store.get(two.id), machine.store.workers())
+    assert (
+        waits == "No worker has exactly 2 GPUs: the workers here have 4 GPUs of one host that fail together."
+    )
+    ones = [machine.submit(1) for _ in range(4)]
+    machine.wait_for(JobStatus.RUNNING, *ones)
+    machine.let_go(*ones)
+    machine.wait_for(JobStatus.SUCCEEDED, *ones)
+    assert machine.num_attempts(two) == 1
+
+
 @pytest.mark.extra
 def test_a_job_whose_worker_or_training_is_killed_leaves_no_gpu_behind(machine: Machine) -> None:
     two, *ones = machine.submit(2), machine.submit(1), machine.submit(1)
@@ -132,12 +170,7 @@ def test_a_job_whose_worker_or_training_is_killed_leaves_no_gpu_behind(machine: 
     machine.wait(lambda: machine.num_attempts(two) == 2)
     # Its training, once it runs.
     assert len(machine.gpus(two)) == 2
-    (training,) = [
-        process
-        for process in psutil.Process(machine.fleet.pid).children(recursive=True)
-        if any(f"{two.id}.2" in word for word in process.cmdline())
-    ]
-    training.kill()
+    machine.training(two).kill()
     machine.wait(lambda: machine.num_attempts(two) == 3)
     machine.wait_for(JobStatus.RUNNING, two, *ones)
     assert sorted(gpu for job in (two, *ones) for gpu in machine.gpus(job)) == [0, 1, 2, 3]

@@ -26,6 +26,8 @@ log = structlog.get_logger()
 
 # After an attempt that ended for one of these reasons, the device is tested before it is used again.
 SUSPICIOUS = frozenset({Reason.NATIVE_CRASH, Reason.DEVICE_FAILED, Reason.TRAINING_STALLED})
+# What the test prints before it tries several cards together.
+EACH_WORKS = "Each card works; now all together."
 # JAX and CUDA take some 10 s to start on a machine that has just been started.
 _TEST_S = 60.0
 _POLL_S = 0.1
@@ -40,7 +42,10 @@ def command_for(device: str) -> tuple[str, ...] | None:
 
 
 class DeviceTest:
-    """A child process that tests the device, started at once. fds: inherited by it, to hold the locks."""
+    """A child process that tests the device, started at once. fds: inherited by it, to hold the locks.
+
+    each_works: once the problem is known, whether each of several cards works, and only all together do not.
+    """
 
     def __init__(
         self,
@@ -52,6 +57,7 @@ class DeviceTest:
     ) -> None:
         self._device, self._limit_s = device, limit_s
         self._deadline = time.monotonic() + limit_s
+        self.each_works = False
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 # `close` does.
         variables = environment(device, data_dir, os.environ)
         self._child = launch(command, variables, stdout=self._said, fds=fds)
@@ -62,8 +68,10 @@ class DeviceTest:
 
     def problem(self) -> str | None:
         """A sentence that says what is wrong with the device, or None. Call it when the test is over."""
-        status, last_line = self._child.poll(), self._last_line()
+        status, lines = self._child.poll(), tail(self._said, 2**16).split("\n")
         self.close()
+        last_line = next((line.strip()[:500] for line in reversed(lines) if line.strip()), "it said nothing.")
+        self.each_works = EACH_WORKS in lines
         if status == 0:
             return None
         if status is None:
@@ -75,10 +83,6 @@ class DeviceTest:
         """End the process. One that hangs in a driver ends when the driver returns."""
         kill(self._child, 5.0)
         self._said.close()
-
-    def _last_line(self) -> str:
-        lines = tail(self._said, 2**16).split("\n")
-        return next((line.strip()[:500] for line in reversed(lines) if line.strip()), "it said nothing.")
 
 
 def result_of(test: DeviceTest, called_off: Callable[[], bool]) -> str | None:

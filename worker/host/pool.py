@@ -27,6 +27,8 @@ from worker.host.locks import is_held, remove_free_locks, remove_lock, slot, slo
 
 # For so long a worker to which nothing was given looks at the queue no more, unless a GPU becomes free.
 _KEPT_S = 10.0
+# For so long after GPUs failed together, each of them takes jobs of one GPU alone.
+_APART_S = 3600.0
 # A lock is held for a moment by whoever looks whether it can go.
 _AGAIN_S = 0.05
 
@@ -82,14 +84,42 @@ class Pool:
         self._kept.unlink(missing_ok=True)
         return why
 
+    @property
+    def most_gpus(self) -> int:
+        """How many a job may have: one while they are known not to work together."""
+        return len(self.locks) if self.why_apart() is None else 1
+
+    def set_apart(self, problem: str) -> None:
+        """Note that GPUs of which each one works fail together, for all workers of this machine.
+
+        For an hour: then another job shows whether they do.
+        """
+        self._apart.parent.mkdir(parents=True, exist_ok=True)
+        self._apart.write_text(problem)
+
+    def why_apart(self) -> str | None:
+        """What `set_apart` was told; None if the GPUs work together, as far as known."""
+        try:
+            age_s = time.time() - self._apart.stat().st_mtime
+            return self._apart.read_text() if age_s < _APART_S else None
+        except OSError:
+            return None
+
     def lock(self, gpu: int) -> Path:
         return self.data_dir / "locks" / f"{self.locks[gpu]}.lock"
 
     @property
     def _turn(self) -> Path:
         """One for all pools of a machine, whichever GPUs they have."""
-        machine = self.locks[self.own].rpartition("-")[0]
-        return self.data_dir / "locks" / f"turn-{machine}.lock"
+        return self.data_dir / "locks" / f"turn-{self._machine}.lock"
+
+    @property
+    def _apart(self) -> Path:
+        return self.data_dir / "devices" / f"{self._machine}.apart"
+
+    @property
+    def _machine(self) -> str:
+        return self.locks[self.own].rpartition("-")[0]
 
     @property
     def _kept(self) -> Path:
@@ -186,11 +216,20 @@ class Membership:
         return "kept" if self._kept else "ready"
 
     @property
+    def most_gpus(self) -> int:
+        """How many a job of this worker could have now."""
+        return min(len(self.free), self.pool.most_gpus)
+
+    @property
     def problem(self) -> str | None:
-        """A sentence on a state that is not ready."""
+        """A sentence on a state that is not ready, or on GPUs that do not work together."""
         if self.state == "lent":
             return self.pool.says_who()
-        return self._kept or None
+        if self._kept:
+            return self._kept
+        if (why := self.pool.why_apart()) is not None:
+            return f"It takes only jobs of one GPU for an hour. {why}"
+        return None
 
 
 def pool_of(settings: WorkerSettings, device: str) -> Pool | None:

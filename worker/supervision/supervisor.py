@@ -38,6 +38,7 @@ from worker.host.device_health import SUSPICIOUS, DeviceTest, result_of, set_asi
 from worker.host.disk import is_full, what_to_do
 from worker.host.locks import SlotTaken, slots
 from worker.host.memory import MemoryWatch, allowed_bytes
+from worker.host.pool import Pool
 from worker.protocol import Advanced, Failed, Finished, Noted, PhaseBegan, PhaseEnded
 from worker.stopping import DRAIN_SIGNAL, STOP_SIGNAL, Draining, Stop
 from worker.supervision.measurements import store_metrics
@@ -71,7 +72,8 @@ class Supervisor:
     draining: set, also by a signal handler, once the worker must shut down, or the job makes room for
     another; it then keeps a checkpoint and is given back. device_test: the program that tests the device
     after a failure that it may have caused. gang: the other hosts, connected, where several share the job.
-    held: the devices' locks, if they were taken before; it releases them. tallies: gathers for monitoring.
+    held: the devices' locks, if they were taken before; it releases them. pool: where they are from.
+    tallies: gathers for monitoring.
     Afterwards the job has ended or is back in the queue, and no process and no spool is left.
     """
 
@@ -84,6 +86,7 @@ class Supervisor:
     device_test: Sequence[str] | None = None
     gang: Gang | None = None
     held: AbstractContextManager[tuple[int, ...]] | None = None
+    pool: Pool | None = None
     tallies: Tallies = field(default_factory=Tallies)
     _is_told: bool = field(default=False, init=False)
 
@@ -248,14 +251,20 @@ class Supervisor:
         return self.draining.is_set()
 
     def _after_test(self, outcome: Outcome, folder: Path, slot_fds: Sequence[int]) -> Outcome:
-        """Test a device that may have caused the end; one that fails is set aside and named as the reason."""
+        """Test a device that may have caused the end; one that fails is set aside and named as the reason.
+
+        GPUs of a pool that fail only together go on with jobs of one: each one's worker would find it well.
+        """
         if self.device_test is None or outcome.status is not None or outcome.reason not in SUSPICIOUS:
             return outcome
         test = DeviceTest(self.device_test, self.device, folder, slot_fds)
         problem = result_of(test, self.draining.is_set)
         if problem is None:
             return outcome
-        set_aside(folder, self.slot_names, problem)
+        if self.pool is not None and test.each_works:
+            self.pool.set_apart(problem)
+        else:
+            set_aside(folder, self.slot_names, problem)
         return Outcome(None, Reason.DEVICE_FAILED, f"{outcome.message} {problem}")
 
     def _stores_metrics(self, job: Job, outcome: Outcome, file: IO[bytes], path: Path) -> bool:

@@ -31,10 +31,15 @@ _DEVICE_MEMORY = re.compile(
 _DEVICE_FAILED = re.compile(
     r"CUDA_ERROR_|Warp CUDA error|CUDA error|\bECC\b|device is lost|fallen off the bus|\bXid\b", re.IGNORECASE
 )
+# The library by which GPUs speak to each other.
+_NOT_TOGETHER = re.compile("nccl", re.IGNORECASE)
 
 
-def failure(error: Exception, device: str) -> Failed:
-    """Blames memory, device or disk if it was one of these. device: `cpu`, or the worker's GPUs."""
+def failure(error: Exception, device: str, *, in_gang: bool = False) -> Failed:
+    """Blames memory, device or disk if it was one of these. device: `cpu`, or the worker's GPUs.
+
+    in_gang: whether other hosts have the job, too; GPUs then fail together when another host is lost.
+    """
     if is_full(error):
         return Failed(reason=Reason.STORAGE_UNAVAILABLE, message=what_to_do())
     text = f"{type(error).__name__}: {error}"
@@ -48,17 +53,18 @@ def failure(error: Exception, device: str) -> Failed:
     if has_no_memory:
         message = f"The memory of {device} ran out. {LESS_MEMORY} {line}"
         return Failed(reason=Reason.OUT_OF_MEMORY, message=message)
-    if device != "cpu" and _DEVICE_FAILED.search(text):
+    is_failed = _DEVICE_FAILED.search(text) or (not in_gang and _NOT_TOGETHER.search(text))
+    if device != "cpu" and is_failed:
         return Failed(reason=Reason.DEVICE_FAILED, message=f"The device {device} reported an error. {line}")
     return Failed(reason=Reason.TRAINING_CRASHED, message=f"{line} (the log has the traceback)")
 
 
 def run(spool: Path, events_fd: int, stopping: StopRequest) -> int:
     """Run the task in the spool; returns the exit status. The last message is Finished or Failed."""
-    events, device = EventWriter(spool, events_fd), "cpu"
+    events, device, in_gang = EventWriter(spool, events_fd), "cpu", False
     try:
         task = Task.model_validate_json((spool / "task.json").read_bytes())
-        device = task.device
+        device, in_gang = task.device, task.gang is not None
         configure_logging(
             "training", job_id=task.job_id, attempt=task.attempt, correlation_id=task.correlation_id
         )
@@ -70,7 +76,7 @@ def run(spool: Path, events_fd: int, stopping: StopRequest) -> int:
         events.send(Failed(reason=Reason.TRAINING_CRASHED, message=error.detail))
     except Exception as error:  # Every way to end must reach the job's record.
         traceback.print_exc()
-        events.send(failure(error, device))
+        events.send(failure(error, device, in_gang=in_gang))
     else:
         events.send(Finished(stopped=stopped))
         return 0

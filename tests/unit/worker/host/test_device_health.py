@@ -1,12 +1,22 @@
 """Whether a worker may take jobs; shell commands stand for the test of a GPU."""
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from worker.host.device_health import DeviceHealth, DeviceTest, command_for, mark_of, result_of, set_aside
+from worker.host.device_health import (
+    EACH_WORKS,
+    DeviceHealth,
+    DeviceTest,
+    command_for,
+    mark_of,
+    result_of,
+    set_aside,
+)
 from worker.host.locks import SlotTaken, slot
 
 # Passed as soon as the file is there.
@@ -62,6 +72,20 @@ def test_each_gpu_of_a_worker_is_tested() -> None:
 def test_a_test_says_what_it_saw(script: str, problem: str | None, tmp_path: Path) -> None:
     told = result_of(run(script, tmp_path), lambda: False)
     assert told == (problem and f"A test of the device gpu:0 {problem}")
+
+
+def test_cards_that_fail_only_together_are_known(tmp_path: Path) -> None:
+    for script, each_works in (("exit 1", False), (f"echo '{EACH_WORKS}'; sleep 1000", True)):
+        test = run(script, tmp_path, limit_s=0.5)
+        assert result_of(test, lambda: False) is not None
+        assert test.each_works == each_works
+
+
+def test_numbers_are_added_up_over_several_cards(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
+    added = "import jax; from worker.training.device_test import test_together; test_together(jax.devices())"
+    subprocess.run([sys.executable, "-c", added], check=True, timeout=60)
 
 
 def test_a_device_that_hangs_fails_its_test(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The GPUs that workers of a machine share out: locks in one folder, and what is written beside them."""
 
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -79,6 +80,22 @@ def test_a_worker_waits_while_its_gpu_is_lent_and_while_gpus_are_kept(pool: Pool
     assert not membership.look()
     now = 20.0
     assert membership.look()
+
+
+def test_gpus_that_fail_together_take_jobs_of_one_for_an_hour(pool: Pool) -> None:
+    membership = Membership(Pool(3, LOCKS, pool.data_dir))
+    assert membership.look()
+    assert membership.most_gpus == 4
+    pool.set_apart("The GPUs 0 and 1 do not work together.")
+    assert membership.look()
+    assert (membership.most_gpus, len(membership.free)) == (1, 4)
+    assert membership.problem == (
+        "It takes only jobs of one GPU for an hour. The GPUs 0 and 1 do not work together."
+    )
+    (mark,) = pool.data_dir.glob("devices/*")
+    long_ago = time.time() - 3601
+    os.utime(mark, (long_ago, long_ago))
+    assert (membership.most_gpus, membership.problem) == (4, None)
 
 
 def test_a_full_disk_takes_no_gpu_from_a_job(pool: Pool) -> None:

@@ -32,6 +32,11 @@ _XLA_MEMORY = (
         (RuntimeError("INTERNAL: an uncorrectable ECC error was met"), "gpu:0", Reason.DEVICE_FAILED),
         (RuntimeError("Warp CUDA error 719: unspecified launch failure"), "gpu:0", Reason.DEVICE_FAILED),
         (RuntimeError("INTERNAL: The device is lost"), "gpu:0", Reason.DEVICE_FAILED),
+        (
+            RuntimeError("INTERNAL: NCCL operation ncclGroupEnd() failed: unhandled system error"),
+            "gpu:0,1",
+            Reason.DEVICE_FAILED,
+        ),
         # A worker on the CPU has no such device.
         (RuntimeError("CUDA_ERROR_NO_DEVICE"), "cpu", Reason.TRAINING_CRASHED),
         (ValueError("The section has 3 rows."), "gpu:0", Reason.TRAINING_CRASHED),
@@ -41,6 +46,11 @@ _XLA_MEMORY = (
 def test_an_exception_has_its_reason(error: Exception, device: str, reason: Reason) -> None:
     said = failure(error, device)
     assert said.reason == reason
+
+
+def test_a_lost_host_is_no_fault_of_the_own_gpus() -> None:
+    error = RuntimeError("INTERNAL: NCCL operation ncclAllReduce() failed: remote process exited")
+    assert failure(error, "gpu:0,1", in_gang=True).reason == Reason.TRAINING_CRASHED
 
 
 def test_a_lack_of_memory_names_the_device_and_what_to_lower() -> None:
