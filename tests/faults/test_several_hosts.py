@@ -4,6 +4,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import pytest
 
 from core.adapters.postgres.store import PostgresJobStore
 from core.jobs.job import Job
+from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
+from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from tests.faults.bench import SPEC, wait_until
 from tests.faults.two_hosts import ON_TWO, TwoHosts, probe
@@ -120,6 +123,46 @@ def test_a_drain_of_the_second_host_gives_the_job_back_with_a_checkpoint(hosts: 
     checkpoint = left.newest("checkpoint")
     assert checkpoint is not None
     assert checkpoint.step == 20
+
+
+def test_a_job_of_both_hosts_makes_room_and_goes_on_after_the_urgent_one(hosts: Hosts) -> None:
+    two = hosts(probe("says_a_line_and_waits"))
+    store = two.bench.store
+    store.announce(
+        WorkerInfo(
+            name="w",
+            host="first",
+            pid=1,
+            device="cpu",
+            hosts=2,
+            queues=queue_names("cpu", 2),
+            started_at=store.now(),
+            seen_at=store.now(),
+        ),
+        timedelta(seconds=60),
+    )
+    low = two.bench.submit(**ON_TWO, priority="low")
+    thread = threading.Thread(target=two.supervisor(low, probe("waits")).run)
+    thread.start()
+    wait_until(lambda: any(line.endswith(", rank 1] it runs") for line in two.bench.printed(low)))
+    wait_until(lambda: store.get(low.id).newest("checkpoint") is not None)
+    # A job of one host has no slot in this gang, so it gets no room here.
+    two.bench.submit(resources={"accelerator": "cpu"}, priority="high")
+    assert store.make_room() == {}
+    urgent = two.bench.submit(**ON_TWO, priority="high")
+    assert store.make_room() == {urgent.id: [low.id]}
+    thread.join(20)
+    left = store.get(low.id)
+    assert (left.status, left.attempts[0].reason) == (JobStatus.QUEUED, Reason.PREEMPTED)
+    assert (left.attempts[0].message or "").startswith(f"It made room for job {urgent.id}.")
+    assert left.lost_attempts == 0
+    two.gang.release()
+    assert two.run(urgent, probe("succeeds")).status == JobStatus.SUCCEEDED
+    after = two.run(low, probe("goes_on_from_a_checkpoint"))
+    assert after.status == JobStatus.SUCCEEDED
+    policy = after.newest("policy")
+    assert policy is not None
+    assert (policy.step, two.bench.objects.get(policy.key)) == (20, b"state")
 
 
 def test_a_drain_before_the_second_host_has_started_gives_the_job_back(hosts: Hosts) -> None:
