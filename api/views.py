@@ -76,6 +76,12 @@ class Listing(ServiceAnswer, Generic[Item]):
     next: str | None = None
 
 
+class JobsListing(Listing[JobView]):
+    """of_newest: how many of the newest jobs a sorted list is of, where it leaves older ones out."""
+
+    of_newest: int | None = None
+
+
 class Health(ServiceAnswer):
     """status: `ok`; anything else is a problem."""
 

@@ -67,10 +67,14 @@ class Stream:
 
 
 class Page(View, Generic[Item]):
-    """Some items, and the cursor of the next page (None at the end)."""
+    """Some items, and the cursor of the next page (None at the end).
+
+    of_newest: how many of the newest jobs a sorted list is of, where it leaves older ones out.
+    """
 
     items: list[Item]
     next: str | None = None
+    of_newest: int | None = None
 
     def __iter__(self) -> Iterator[Item]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return iter(self.items)

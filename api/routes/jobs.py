@@ -13,7 +13,7 @@ from api.dependencies import CorrelationId, JobId, QueryParameters, Service, Ser
 from api.problems import BodyTooLarge, MalformedBody, UnsupportedMediaType, refusals
 from api.shared_reads import max_age_s
 from api.submissions import EXAMPLES, IdempotencyKey, PatchBody, Submitted, idempotency, parse, patch_of
-from api.views import Listing, answer, job_view
+from api.views import JobsListing, answer, job_view
 from core.accounts.principal import Principal
 from core.errors import (
     IdempotencyKeyReused,
@@ -188,7 +188,7 @@ def check_job(spec: Submitted, service: ServiceDep, principal: PrincipalDep) -> 
     return filled_in(job, service.store)
 
 
-@router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))
+@router.get("/jobs", response_model=JobsListing, responses=refusals(Rejected, RecordsUnavailable))
 def list_jobs(
     listed: Annotated[JobListing, Query()],
     service: ServiceDep,
@@ -198,8 +198,9 @@ def list_jobs(
     """Jobs, newest first; with accounts your own, and then those of others in your projects.
 
     With `sort`, all of them in the order of a column. Sorted lists are of the newest 100,000 jobs that
-    you may see, under `owner` and `project`, or of all trials of a sweep; other filters choose among these. A
-    job whose value changes while you turn pages may be missing, or come twice.
+    you may see, under `owner` and `project`, or of all trials of a sweep; other filters choose among these.
+    Where older ones are left out, `of_newest` says so. A job whose value changes while you turn pages may be
+    missing, or come twice.
 
     Each has its newest ten attempts, without `details` and with messages of up to 1,000 characters, and its
     newest ten files of each role, without `metadata` of more than 1,000 bytes: `GET /jobs/{job_id}` has all.
@@ -217,7 +218,8 @@ def list_jobs(
         turns = None if workers is None else service.turns.now(workers)
         sweeps = service.store.sweeps_of([job.id for job in page.jobs])
         views = [job_view(job, workers, turns, sweeps.get(job.id)) for job in page.jobs]
-        found = Listing[JobView](items=views, next=page.next_cursor).model_dump_json().encode()
+        listing = JobsListing(items=views, next=page.next_cursor, of_newest=page.of_newest)
+        found = listing.model_dump_json().encode()
         service.lists.keep(question, found)
     return Response(found, media_type="application/json")
 

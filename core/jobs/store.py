@@ -133,10 +133,14 @@ class Idempotency:
 
 @dataclass(frozen=True)
 class JobPage:
-    """Some jobs in the order of the list, and the cursor of the next page; None at the end."""
+    """Some jobs in the order of the list, and the cursor of the next page; None at the end.
+
+    of_newest: how many of the newest jobs a sorted list is of, where it leaves older ones out.
+    """
 
     jobs: Sequence[Job | UnreadableJob]
     next_cursor: str | None
+    of_newest: int | None = None
 
 
 @dataclass(frozen=True)

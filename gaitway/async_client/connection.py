@@ -111,7 +111,7 @@ class AsyncConnection:
         params = {**filters, "limit": limit} | ({"cursor": cursor} if cursor else {})
         answer = (await self._request("GET", path, params=params)).json()
         items = [view.model_validate(item, context=self) for item in answer["items"]]
-        return Page(items=items, next=answer.get("next"))
+        return Page(items=items, next=answer.get("next"), of_newest=answer.get("of_newest"))
 
     async def _all(
         self, path: str, view: type[AnyView], limit: int | None, filters: Mapping[str, Any]

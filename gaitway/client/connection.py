@@ -110,7 +110,7 @@ class Connection:
         params = {**filters, "limit": limit} | ({"cursor": cursor} if cursor else {})
         answer = (self._request("GET", path, params=params)).json()
         items = [view.model_validate(item, context=self) for item in answer["items"]]
-        return Page(items=items, next=answer.get("next"))
+        return Page(items=items, next=answer.get("next"), of_newest=answer.get("of_newest"))
 
     def _all(
         self, path: str, view: type[AnyView], limit: int | None, filters: Mapping[str, Any]

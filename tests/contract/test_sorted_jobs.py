@@ -170,6 +170,8 @@ def test_only_the_newest_of_those_that_one_may_see_are_sorted(
         jobs.add(job)
     assert listed(jobs, sorted_by("name"), 1) == [added[3].id, added[4].id]
     assert listed(jobs, sorted_by("name", whose=Whose(projects=("a",))), 1) == [added[1].id, added[2].id]
+    # Three of project a, and two of b: only of a older ones are left out.
+    assert [jobs.list(sorted_by("name", whose=Whose(projects=(one,)))).of_newest for one in "ab"] == [2, None]
 
 
 def test_all_trials_of_a_sweep_are_sorted(jobs: SweepStore, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 /** All jobs as a table: newest first, or sorted by a column; a sweep is one row. What is shown stands in the address. */
 
 import { get } from "../lib/api.js";
+import { count } from "../lib/format.js";
 import { html, useEffect, useRef } from "../lib/html.js";
 import { isOver } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
@@ -66,6 +67,7 @@ export default function Jobs({ query }) {
     ${data && !data.items.length && html`<${Nothing} isFiltered=${isFiltered || cursor} />`}
     ${page && page.items.length > 0 && (data || !error) &&
     html`<${Table} page=${page} isOld=${!data} sweeps=${sweeps} columns=${columns} asked=${asked} picked=${picked} known=${known} />`}
+    ${page?.of_newest && html`<p class="facts">Sorted are the newest ${count(page.of_newest)} jobs; older ones are in the table newest first.</p>`}
     ${data && html`<${Pages} path=${["jobs"]} query=${query} next=${data.next} name="Pages of jobs" first=${asked.order.sort ? "First" : "Newest"} more=${asked.order.sort ? "More jobs" : "Older jobs"} />`}
     <${Import} />
     ${picked.length > 0 && html`<${Picked} ids=${picked} known=${known} again=${again} />`}

@@ -183,13 +183,14 @@ class JobQueries(Session):
         self, query: JobQuery, *, cursor: str | None = None, limit: int = 50, brief: bool = False
     ) -> JobPage:
         with self._statements() as connection:
+            of_newest = None
             if query.sort is not None:
-                found, next_cursor = sorting.page(connection, query, query.sort, cursor, limit)
+                found, next_cursor, of_newest = sorting.page(connection, query, query.sort, cursor, limit)
             else:
                 newest = partial(listing.newest, connection, query)
                 found, next_cursor = listing.own_first(newest, query.whose, cursor, limit)
             page = rows.jobs_of_rows(connection, found, brief=brief)
-        return JobPage(page, next_cursor)
+        return JobPage(page, next_cursor, of_newest)
 
     def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
         if not job_ids:

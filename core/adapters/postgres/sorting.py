@@ -2,7 +2,7 @@
 
 All jobs that match are looked at for each page, since a column may change with every report of a job, and an
 index on it would make each report slower. So only the newest hundred thousand are, of those that one may see
-and whose owner and project are asked for; of a sweep, all trials.
+and whose owner and project are asked for; of a sweep, all trials. A page says that older ones are left out.
 """
 
 import json
@@ -60,18 +60,21 @@ class _Place:
 
 def page(
     connection: Connection, query: JobQuery, sort: Sort, cursor: str | None, limit: int
-) -> tuple[Sequence[Row[Any]], str | None]:
-    """A page of at most `limit` rows, and the cursor of the next one. Raises Rejected for a wrong cursor.
+) -> tuple[Sequence[Row[Any]], str | None, int | None]:
+    """A page of at most `limit` rows, the cursor of the next one, and of how many of the newest jobs the list
+    is; None where it leaves out none. Raises Rejected for a wrong cursor.
 
     A job whose value changes between two pages may be missed, or come twice.
     """
     place = None if cursor is None else _place(cursor, sort)
     at = connection.execute(select(_epoch(NOW))).scalar_one() if place is None else place.at
-    found = connection.execute(_sorted(query, sort, at, place, limit + 1)).all()
+    left_out = _newest_left_out(connection, query)
+    of_newest = None if left_out is None else _MOST
+    found = connection.execute(_sorted(query, sort, at, place, limit + 1, left_out)).all()
     rows = found[:limit]
     if not listing.has_more(found, len(rows)):
-        return rows, None
-    return rows, _Place(sort, rows[-1].sorted_by, rows[-1].id, at).cursor()
+        return rows, None, of_newest
+    return rows, _Place(sort, rows[-1].sorted_by, rows[-1].id, at).cursor(), of_newest
 
 
 def _place(cursor: str, sort: Sort) -> _Place:
@@ -135,12 +138,20 @@ def _newest(column: str) -> ColumnElement[Any]:
     return known.order_by(attempts.c.number.desc()).limit(1).correlate(jobs).scalar_subquery()
 
 
-def _sorted(query: JobQuery, sort: Sort, at: float, place: _Place | None, limit: int) -> Any:
+def _newest_left_out(connection: Connection, query: JobQuery) -> str | None:
+    """Of those that one may see, the newest job that is not looked at; None if all are."""
+    if query.sweep not in (None, NO_SWEEP, FOLDED):
+        return None
+    seen = select(jobs.c.id).where(*listing.of(jobs, query.whose, listing.Part.ALL))
+    return connection.execute(seen.order_by(jobs.c.id.desc()).offset(_MOST).limit(1)).scalar()
+
+
+def _sorted(
+    query: JobQuery, sort: Sort, at: float, place: _Place | None, limit: int, left_out: str | None
+) -> Any:
     matches = listing.matches(query, jobs, listing.Part.ALL)
-    if query.sweep in (None, NO_SWEEP, FOLDED):
-        seen = select(jobs.c.id).where(*listing.of(jobs, query.whose, listing.Part.ALL))
-        oldest = seen.order_by(jobs.c.id.desc()).offset(_MOST).limit(1).scalar_subquery()
-        matches.append(jobs.c.id > func.coalesce(oldest, ""))
+    if left_out is not None:
+        matches.append(jobs.c.id > left_out)
     key = _key(sort, at)
     among = select(jobs.c.id, key.label("sorted_by")).where(*matches)
     if query.sweep == FOLDED:

@@ -81,6 +81,18 @@ def test_a_click_on_a_columns_name_sorts_by_it_and_the_address_says_so(tab: Tab)
 
 
 @pytest.mark.usefixtures("three")
+def test_a_sorted_table_says_that_older_jobs_are_left_out(tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("core.adapters.postgres.sorting._MOST", 2)
+    page = tab.open()
+    expect(names(page)).to_have_text(["middle", "high", "low"])
+    note = page.get_by_text("Sorted are the newest 2 jobs; older ones are in the table newest first.")
+    expect(note).to_have_count(0)
+    page.get_by_role("columnheader", name="Return").get_by_role("button").click()
+    expect(names(page)).to_have_text(["high", "middle"])
+    expect(note).to_be_visible()
+
+
+@pytest.mark.usefixtures("three")
 def test_the_browser_keeps_which_columns_are_shown(tab: Tab) -> None:
     page = tab.open()
     expect(page.get_by_role("columnheader", name="Device")).to_have_count(0)
