@@ -185,11 +185,12 @@ class Standings:
 
         As if these running jobs had ended, and one user had used so much more.
         """
-        changes = [(held.who, _used(held, now) - _counted(held, now)) for held in ended]
-        changes += [] if more is None else [more]
         project, user = who
-        of_project = self._of_project[project] + sum(use for (name, _), use in changes if name == project)
-        of_user = self._of_user[who] + sum(use for whose, use in changes if whose == who)
+        of_project, of_user = self._of_project[project], self._of_user[who]
+        changes = [(held.who, _used(held, now) - _counted(held, now)) for held in ended]
+        for whose, use in changes if more is None else [*changes, more]:
+            of_project += use if whose[0] == project else 0.0
+            of_user += use if whose == who else 0.0
         return (
             _for_weight(of_project, self._quotas.of("project", project).weight),
             _for_weight(of_user, self._quotas.of("user", user).weight),
@@ -212,7 +213,8 @@ class Standings:
         self._of_project[who[0]] += amount
 
     def _count(self, who: Who) -> None:
-        self._running.update(parties(who))
+        for party in parties(who):
+            self._running[party] += 1
 
 
 def _counted(held: Held, now: float) -> float:

@@ -17,7 +17,16 @@ from core.adapters.postgres import workers
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.leases import in_words
 from core.adapters.postgres.rows import HELD, columns, find_job
-from core.adapters.postgres.turns import facts_of, facts_query, rank_of_queue, running_query, started_of
+from core.adapters.postgres.turns import (
+    DUE,
+    HEAD,
+    HEADS,
+    facts_of,
+    facts_query,
+    rank_of_queue,
+    running_query,
+    started_of,
+)
 from core.errors import JobNotFound
 from core.jobs.job import Job
 from core.jobs.pools import pool_of
@@ -37,32 +46,17 @@ log = structlog.get_logger()
 # An arbitrary number of ours: one reconciler decides at a time. The rest as for a claim.
 _BEGIN = text("SELECT pg_try_advisory_xact_lock(7310582062), set_config('enable_sort', 'off', true)")
 _RUNNING = text(running_query("jobs.yields_to", "jobs.kind", "jobs.status", "jobs.preemptible"))
-# The oldest of each queue, project and user. If these were compared for equality alone, PostgreSQL might take
-# another index than `jobs_turns`, and read all that wait for each user.
-_OLDEST = """
-    WITH RECURSIVE groups AS (
-        SELECT first.* FROM unnest(CAST(:queues AS text[])) AS queues (name) CROSS JOIN LATERAL (
-            SELECT queue, project, coalesce(owner, '') AS owner FROM jobs
-            WHERE queue = queues.name AND status = 'queued'
-            ORDER BY project, coalesce(owner, ''), id LIMIT 1
-        ) AS first
-        UNION ALL
-        SELECT following.* FROM groups CROSS JOIN LATERAL (
-            SELECT queue, project, coalesce(owner, '') AS owner FROM jobs
-            WHERE queue = groups.queue AND status = 'queued'
-                AND (project, coalesce(owner, '')) > (groups.project, groups.owner)
-            ORDER BY project, coalesce(owner, ''), id LIMIT 1
-        ) AS following
-    )
-    SELECT oldest.* FROM groups CROSS JOIN LATERAL (
-        SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs
-        WHERE queue = groups.queue AND (project, coalesce(owner, ''), id) > (groups.project, groups.owner, '')
-            AND status = 'queued' AND (not_before IS NULL OR not_before < clock_timestamp())
+# The oldest twenty of each queue, project and user.
+_OLDEST = f"""
+    {HEADS}
+    SELECT oldest.* FROM heads CROSS JOIN LATERAL (
+        {HEAD} WHERE queue = heads.queue AND {DUE}
+            AND (project, coalesce(owner, ''), id) >= (heads.project, heads.owner, heads.id)
         ORDER BY project, coalesce(owner, ''), id LIMIT 20
     ) AS oldest
-    WHERE (oldest.project, oldest.owner) = (groups.project, groups.owner)
-"""
-_FACTS = facts_query(_OLDEST)
+    WHERE (oldest.project, oldest.owner) = (heads.project, heads.owner)
+"""  # noqa: S608 # A constant.
+_FACTS = facts_query(waiting=_OLDEST)
 _ASKED = text("""
     SELECT id, CAST(extract(epoch FROM clock_timestamp() - room_asked_at) AS float) AS age_s
     FROM jobs WHERE id = ANY(CAST(:waiting AS text[])) AND room_asked_at IS NOT NULL
@@ -85,11 +79,10 @@ class PreemptionQueries(Session):
     """The part of a JobStore that makes room for waiting jobs."""
 
     def make_room(self) -> Mapping[str, Sequence[str]]:
-        asked = {"held": list(HELD)}
         with self._transaction() as connection:
             if not connection.execute(_BEGIN).scalar():
                 return {}
-            running = connection.execute(_RUNNING, asked).all()
+            running = connection.execute(_RUNNING, {"held": list(HELD)}).all()
             started = [
                 replace(started_of(columns(row)), is_preemptible=bool(row.preemptible)) for row in running
             ]
@@ -100,7 +93,8 @@ class PreemptionQueries(Session):
             present = workers.present(connection)
             served = {queue for worker in present for queue in worker.queues}
             queues = [queue for queue in served if rank_of_queue(queue) in ranks]
-            facts = facts_of(connection.execute(_FACTS, {**asked, "queues": queues}).one())
+            asked = {"queues": queues, "but_not": list[str]()}
+            facts = facts_of(connection.execute(_FACTS, asked).one(), started)
             if not facts.waiting:
                 return {}
             drains = {row.id: row.yields_to for row in running if row.yields_to is not None}
@@ -110,7 +104,7 @@ class PreemptionQueries(Session):
                 job: waits for job, waits in drains.items() if asked_s.get(waits, 0.0) < DRAINED_WITHIN_S
             }
             just_asked = {waits for waits, age_s in asked_s.items() if age_s < ASKED_AGAIN_S}
-            holders = Holders(replace(facts, started=started), movable, drains, just_asked)
+            holders = Holders(facts, movable, drains, just_asked)
             found = making_room(holders, present, partial(_able, connection, present))
             tokens = {row.id: row.token for row in running}
             return {

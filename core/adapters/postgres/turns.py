@@ -9,6 +9,7 @@ that a claim takes as long among ten thousand jobs as among ten.
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timedelta
+from functools import cache
 from typing import Any
 
 from sqlalchemy import Connection, Row, TextClause, text
@@ -24,7 +25,7 @@ from core.jobs.pools import GIVEN, NothingFits, Offer, choose_for
 from core.jobs.preemption import DRAINED_WITHIN_S
 from core.jobs.queue import PRIORITIES
 from core.jobs.slots import kind_of_queue
-from core.jobs.turns import Request, Share, Started, TurnFacts, Who, in_order, standings_on
+from core.jobs.turns import Request, Share, Standings, Started, TurnFacts, Who, in_order, standings_on
 
 # Without sorting, PostgreSQL walks the index `jobs_turns` also where it has no statistics yet. Planning anew
 # for each claim would take half of its time.
@@ -34,48 +35,59 @@ _PLAN = text("""
 # An arbitrary number of ours: who comes second waits until the first one's transaction has ended.
 _ALONE = text("SELECT pg_advisory_xact_lock(7310582061)")
 # As `leases._is_due`: a pause that is longer than any was set before the clock was.
-_DUE = """
+DUE = """
     status = 'queued' AND id <> ALL(CAST(:but_not AS text[]))
     AND (not_before IS NULL OR not_before < clock_timestamp()
         OR not_before > clock_timestamp() + interval '60 s')
 """
-_HEAD = "SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs"
-# The oldest job of each queue, project and user, and those for which others drain. A row without a queue is
-# of an older version.
-_HEADS = f"""
+HEAD = "SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs"
+# The oldest job of each queue, project and user. If these were compared for equality alone, PostgreSQL might
+# take another index than `jobs_turns`, and read all that wait for each user.
+HEADS = f"""
     WITH RECURSIVE heads AS (
         SELECT first.* FROM unnest(CAST(:queues AS text[])) AS queues (name) CROSS JOIN LATERAL (
-            {_HEAD} WHERE queue = queues.name AND {_DUE}
+            {HEAD} WHERE queue = queues.name AND {DUE}
             ORDER BY project, coalesce(owner, ''), id LIMIT 1
         ) AS first
         UNION ALL
         SELECT following.* FROM heads CROSS JOIN LATERAL (
-            {_HEAD} WHERE queue = heads.queue
-                AND (project, coalesce(owner, '')) > (heads.project, heads.owner) AND {_DUE}
+            {HEAD} WHERE queue = heads.queue
+                AND (project, coalesce(owner, '')) > (heads.project, heads.owner) AND {DUE}
             ORDER BY project, coalesce(owner, ''), id LIMIT 1
         ) AS following
     )
+"""  # noqa: S608 # A constant.
+# With those for which others drain. A row without a queue is of an older version.
+_NEXT = f"""
+    {HEADS}
     SELECT * FROM heads
     UNION ALL
-    {_HEAD} WHERE id = :told AND queue IS NULL AND {_DUE}
+    {HEAD} WHERE id = :told AND queue IS NULL AND {DUE}
     UNION
     SELECT awaited.* FROM (
         SELECT yields_to FROM jobs WHERE yields_to IS NOT NULL ORDER BY yields_to LIMIT 1000
     ) AS drained CROSS JOIN LATERAL (
-        {_HEAD} WHERE id = drained.yields_to AND queue = ANY(CAST(:queues AS text[])) AND {_DUE} LIMIT 1
+        {HEAD} WHERE id = drained.yields_to AND queue = ANY(CAST(:queues AS text[])) AND {DUE} LIMIT 1
     ) AS awaited
 """  # noqa: S608 # A constant.
 
 
 def running_query(yields_to: str, *more: str) -> str:
-    """The running attempts, as `started_of` reads them. more: further columns."""
+    """The running attempts, as `started_of` reads them. more: further columns.
+
+    Status by status, so that PostgreSQL walks an index by that alone: a plan from when there were few jobs
+    would read all attempts, or all that wait.
+    """
     columns = ", ".join([f"{yields_to} AS yields_to", *more])
     return f"""
         SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token,
             attempts.worker, {columns},
             CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s
-        FROM jobs JOIN attempts ON attempts.job_id = jobs.id AND attempts.number = jobs.num_attempts
-        WHERE jobs.status = ANY(CAST(:held AS text[]))
+        FROM unnest(CAST(:held AS text[])) AS held (status)
+        CROSS JOIN LATERAL (SELECT * FROM jobs WHERE status = held.status ORDER BY id) AS jobs
+        CROSS JOIN LATERAL (
+            SELECT * FROM attempts WHERE job_id = jobs.id AND number = jobs.num_attempts LIMIT 1
+        ) AS attempts
     """  # noqa: S608 # Constants.
 
 
@@ -91,9 +103,12 @@ _WAITING = """
 """
 
 
-def facts_query(waiting: str) -> TextClause:
-    """All that a choice needs by one statement: a round trip for each part would take most of its time."""
-    parts = {"waiting": waiting, "started": _RUNNING, "shares": SHARES, "quotas": "SELECT * FROM quotas"}
+def facts_query(**parts: str) -> TextClause:
+    """All that a choice needs by one statement: a round trip for each part would take most of its time.
+
+    parts: `waiting`, and perhaps `started`, as `facts_of` reads them.
+    """
+    parts = {**parts, "shares": SHARES, "quotas": "SELECT * FROM quotas"}
     columns = (
         f"(SELECT coalesce(json_agg(part), '[]') FROM ({query}) AS part) AS {name}"  # noqa: S608 # Constants.
         for name, query in parts.items()
@@ -101,7 +116,8 @@ def facts_query(waiting: str) -> TextClause:
     return text(f"SELECT {', '.join(columns)}")
 
 
-_FACTS_OF_CLAIM, _FACTS_OF_ALL, _NEXT_HEADS = facts_query(_HEADS), facts_query(_WAITING), text(_HEADS)
+_FACTS_OF_CLAIM, _NEXT_HEADS = facts_query(waiting=_NEXT, started=_RUNNING), text(_NEXT)
+_FACTS_OF_ALL = facts_query(waiting=_WAITING, started=_RUNNING)
 # After so many jobs of one queue and user that it cannot run, a worker looks at those of others.
 _MOST_UNFIT_OF_ONE = 10
 # After so many of all users, one job of each is enough: other claims wait meanwhile.
@@ -126,13 +142,12 @@ class TurnQueries(Session):
         told: str = "",
         offer: Offer | None = None,
     ) -> Job | None:
-        def claim(connection: Connection, first: Request, kept: NothingFits | None) -> Job | None:
-            job = find_job(connection, first.id)
-            if not isinstance(job, Job) or not fits(job):
-                return None
-            if kept is not None:
-                raise kept
-            given = {} if offer is None else {GIVEN: offer.device(first.gpus)}
+        def find(connection: Connection, job_id: str) -> Job | None:
+            job = find_job(connection, job_id)
+            return job if isinstance(job, Job) and fits(job) else None
+
+        def claim(connection: Connection, job: Job, gpus: int) -> Job:
+            given = {} if offer is None else {GIVEN: offer.device(gpus)}
             claimed = job.claimed(worker, now, secret, {**(details or {}), **given})
             save_change(connection, claimed, job.status, SAVE_AT_ONCE, lease=lease)
             return claimed
@@ -147,45 +162,40 @@ class TurnQueries(Session):
             if any(quota.running is not None for quota in facts.quotas.by_party.values()):
                 connection.execute(_ALONE)
                 facts = facts_of(connection.execute(_FACTS_OF_CLAIM, asked).one())
-            return _take(connection, asked, facts, claim, offer)
+            return _take(connection, asked, facts, find, claim, offer)
 
     def turn_facts(self) -> TurnFacts:
         with self._statements() as connection:
             return facts_of(connection.execute(_FACTS_OF_ALL, {"held": list(HELD)}).one())
 
 
-def _take(
+def _take(  # What is known, and how a job is reached.
     connection: Connection,
     asked: Mapping[str, Any],
     facts: TurnFacts,
-    claim: Callable[[Connection, Request, NothingFits | None], Job | None],
+    find: Callable[[Connection, str], Job | None],
+    claim: Callable[[Connection, Job, int], Job],
     offer: Offer | None,
 ) -> Job | None:
     """The first job in turn that can be claimed. Raises NothingFits.
 
-    asked: what the facts are of. claim: returns None for a job that is for another worker; of another one, it
-    raises what it is given.
+    asked: what the facts are of. find: returns None for a job that is for another worker. claim: takes the
+    job, with as many GPUs.
     """
     device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in asked["queues"]) else "cpu"
     standings, _ = standings_on(device, facts.shares, facts.started, facts.quotas)
 
-    def next_of(heads: Sequence[Request]) -> tuple[Request | None, NothingFits | None]:
-        if offer is None:
-            return next(in_order(heads, standings), None), None
-        try:
-            return choose_for(offer, heads, facts), None
-        except NothingFits as kept:
-            return kept.request, kept
-
     passed, unfit, heads = list[str](), Counter[_Group](), facts.waiting
     while True:
-        first, kept = next_of(heads)
+        first, kept = _first(heads, facts, standings, offer)
         if first is None:
             return None
         # These errors are ours: no statement has failed, and the transaction goes on.
         try:
-            if (claimed := claim(connection, first, kept)) is not None:
-                return claimed
+            if (job := find(connection, first.id)) is not None:
+                if kept is not None:
+                    raise kept
+                return claim(connection, job, first.gpus)
             unfit[_group(first)] += 1
         except (IllegalTransition, JobNotFound):  # It was cancelled, claimed or deleted meanwhile.
             pass
@@ -194,19 +204,35 @@ def _take(
         passed.append(first.id)
         most = _MOST_UNFIT_OF_ONE if unfit.total() < _MOST_UNFIT else 1
         if unfit[_group(first)] < most:
-            rows = connection.execute(_NEXT_HEADS, {**asked, "but_not": passed}).mappings()
-            heads = [_request(row) for row in rows]
+            heads = _heads(connection, {**asked, "but_not": passed})
         heads = [head for head in heads if unfit[_group(head)] < most]
+
+
+def _first(
+    heads: Sequence[Request], facts: TurnFacts, standings: Standings, offer: Offer | None
+) -> tuple[Request | None, NothingFits | None]:
+    """The one whose turn it is, and why it may not have what is offered."""
+    if offer is None:
+        return next(in_order(heads, standings), None), None
+    try:
+        return choose_for(offer, heads, facts), None
+    except NothingFits as kept:
+        return kept.request, kept
+
+
+def _heads(connection: Connection, asked: Mapping[str, Any]) -> Sequence[Request]:
+    return [_request(row) for row in connection.execute(_NEXT_HEADS, asked).mappings()]
 
 
 def _group(waiting: Request) -> _Group:
     return waiting.kind, waiting.rank, waiting.who
 
 
-def facts_of(found: Row[Any]) -> TurnFacts:
+def facts_of(found: Row[Any], started: Sequence[Started] | None = None) -> TurnFacts:
+    """started: those that were read before; otherwise they are among what was found."""
     return TurnFacts(
         waiting=[_request(row) for row in found.waiting],
-        started=[started_of(row) for row in found.started],
+        started=[started_of(row) for row in found.started] if started is None else started,
         shares=[
             Share(row["device"], (row["project"], row["owner"]), row["amount"], row["usual_s"])
             for row in found.shares
@@ -226,6 +252,7 @@ def request(job_id: str, queue: str | None, project: str, owner: str) -> Request
     return Request(job_id, rank_of_queue(queue), (project, owner), max(1, kind.gpus) * kind.hosts, kind=name)
 
 
+@cache
 def rank_of_queue(queue: str | None) -> int:
     """0 for the highest priority; the lowest for a row without a queue."""
     priority = (queue or "").rpartition("-")[2]
