@@ -73,10 +73,11 @@ class Format:
             for name, wanted in description.items()
             if header.get(name) != wanted
         ]
-        differences = differences or _differences(saved, serialization.to_state_dict(template))
+        wanted = serialization.to_state_dict(template)
+        differences = differences or _differences(saved, wanted)
         if differences:
             raise _bad(f"The checkpoint does not fit this job: {'; '.join(differences)}.")
-        return header["progress"], serialization.from_state_dict(template, saved)
+        return header["progress"], serialization.from_state_dict(template, _completed(saved, wanted))
 
 
 def describe(environment: Environment, settings: BaseSpec) -> dict[str, Any]:
@@ -124,6 +125,17 @@ def _differences(saved: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[st
         for name in sorted(have.keys() | need.keys())
         if have.get(name) != need.get(name)
     ]
+
+
+def _completed(saved: Mapping[str, Any], wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """What was saved, with the fields that this run does not use: checkpoints may be older than these."""
+    unused = {name: None for name, value in wanted.items() if value is None}
+    inner = {
+        name: _completed(value, wanted[name])
+        for name, value in saved.items()
+        if isinstance(value, Mapping) and isinstance(wanted.get(name), Mapping)
+    }
+    return {**unused, **saved, **inner}
 
 
 def _forms(tree: Mapping[str, Any]) -> dict[str, str]:

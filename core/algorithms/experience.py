@@ -17,6 +17,7 @@ from core.algorithms.spec import EpsilonShape
 from core.environments.body_position import body_position
 from core.environments.environment import Environment, State
 from core.environments.wrappers.autoreset import Episodes, draw, follow, without_lost
+from core.environments.wrappers.clip_parts import parts_reached
 from core.environments.wrappers.terrain_levels import chosen_starts
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import overflowed
@@ -52,7 +53,7 @@ class StepOutcomes:
     fell: 1 where the episode ended, though not by its length. lost: of these, 1 where the body's state was
     lost (`without_lost`). effort: mean square of the action's components. metrics: the environment's own, by
     name, and its body's position. overflow: 1 where the engine had no room for all contacts. steps: for the
-    last states of a lost body.
+    last states of a lost body. parts: of clips, which the steps came to, for a record of where they fail.
     """
 
     reward: PerStep
@@ -64,6 +65,7 @@ class StepOutcomes:
     metrics: Mapping[str, PerStep]
     overflow: PerStep
     steps: Steps | None = None
+    parts: Int[Array, "*T N"] | None = None
 
 
 def collect(
@@ -106,6 +108,7 @@ def collect(
             metrics={**where(reached.physics), **reached.metrics},
             overflow=overflowed(moved.physics),
             steps=Steps.of(episodes.state, action, after.state.reward, after.state.done),
+            parts=parts_reached(envs.environment, reached),
         )
         return after, (transition, outcome)
 

@@ -133,15 +133,21 @@ def resolve(environment_id: str, options: Mapping[str, object]) -> tuple[Environ
 
 
 def make(
-    info: EnvironmentInfo, options: Strict, build_engine: "EngineBuilder", model: Path | None = None
+    info: EnvironmentInfo,
+    options: Strict,
+    build_engine: "EngineBuilder",
+    model: Path | None = None,
+    clips: Mapping[str, Path] | None = None,
 ) -> "Environment":
     """The environment itself. This call loads its code, and with it the numerical stack.
 
-    model: the file that the options name, for an environment that takes one.
+    model: the file that the options name, for an environment that takes one. clips: the files of their
+    reference, by id.
     """
     module, _, function = info.factory.partition(":")
     factory = getattr(import_module(module), function)
     own = {**info.arguments, **({"model": model} if info.takes_model else {})}
+    own |= {"clips": clips} if clips else {}
     return cast("Environment", factory(options, build_engine, **own))
 
 

@@ -61,6 +61,9 @@ class Discretization:
 CONTINUOUS = Discretization()
 
 
+# An entry of `State.info`, [] float32, of tasks that can be over: 1 where `done` is no failure.
+TRUNCATED = "truncated"
+
 # One array [size], or arrays by name: `state` is what a policy sees unless a run says otherwise.
 Observation = Any
 ObservationSize = int | Mapping[str, int]
@@ -70,9 +73,10 @@ ObservationSize = int | Mapping[str, int]
 class State:
     """One environment after a step; a leading batch axis appears under `jax.vmap`.
 
-    obs: [observation_size], or arrays by name. reward, done: [] float32; `done` is 1 where the episode
-    *terminated*: a wrapper handles truncation by length. metrics: named scalars, the same names
-    at every step. info: arrays that a wrapper or the environment carries from step to step.
+    obs: [observation_size], or arrays by name. reward, done: [] float32; `done` is 1 where the environment
+    ended the episode: it *terminated* unless `info` says that it was `TRUNCATED`. A wrapper handles
+    truncation by length. metrics: named scalars, the same names at every step. info: arrays that a wrapper or
+    the environment carries from step to step.
     """
 
     physics: PhysicsState
@@ -81,6 +85,11 @@ class State:
     done: jax.Array
     metrics: Mapping[str, jax.Array]
     info: Mapping[str, jax.Array]
+
+
+def terminated(state: State) -> jax.Array:
+    """1 where the environment ended the episode by a failure, otherwise 0; [...]."""
+    return state.done * (1 - state.info[TRUNCATED]) if TRUNCATED in state.info else state.done
 
 
 @runtime_checkable  # for the tests, which check annotations

@@ -22,13 +22,13 @@ def make(
     body: str,
     model: str,
     task: Callable[[Any], TaskOptions],
-    **reports: Any,
+    **settings: Any,
 ) -> TaskEnv:
-    """The page's task under these options. model: see `terms.page.page`. reports: fields of TaskSettings."""
+    """The page's task under these options. model: see `terms.page.page`. settings: fields of TaskSettings."""
     spec, solver = _loaded(body, model, options)
     parts, terms = inventory(compiled(spec)), task(options)
     stepped = stepped_model(spec, terms, parts)
-    return TaskEnv(terms, parts, spec, stepped, build_engine, TaskSettings(solver, **reports))
+    return TaskEnv(terms, parts, spec, stepped, build_engine, TaskSettings(solver, **settings))
 
 
 def parts_of(body: str, model: str, options: Strict) -> Inventory:

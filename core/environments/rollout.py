@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.compilation import compiling
-from core.environments.environment import Environment, State
+from core.environments.environment import Environment, State, terminated
 from core.environments.info import POLICY_GROUP
 from core.environments.trajectory import ARENA, Episode, Trajectory, describe
 
@@ -218,6 +218,7 @@ def _advance(
         action = jax.vmap(policy, (None, 0, 0))(parameters, state, step_keys)
         state = jax.vmap(environment.step)(state, action)
         kept = {"action": action, "reward": state.reward, "done": state.done, "metrics": dict(state.metrics)}
+        kept["terminated"] = terminated(state)
         return state, kept | _observed(environment, state)
 
     return jax.lax.scan(step, state, taken + jnp.arange(_STEPS_PER_CALL))
@@ -254,7 +255,7 @@ def _episode(
         velocity=_velocities(environment, states["qpos"], states["qvel"]) if "command" in states else None,
         action=steps["action"][:length],
         reward=steps["reward"][:length],
-        terminated=bool(len(ends)),
+        terminated=bool(len(ends)) and bool(steps["terminated"][length - 1]),
         metrics={name: values[:length] for name, values in metrics.items()},
     )
 

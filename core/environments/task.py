@@ -4,6 +4,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
+from pathlib import Path
 from typing import Self
 
 import jax
@@ -11,23 +12,28 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments.deployment import Deployment, deployment
-from core.environments.environment import Observation, State
+from core.environments.deployment import Deployment, NotDeployed, deployment
+from core.environments.environment import TRUNCATED, Observation, State
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.environments.observation_group import ObservationGroup
 from core.environments.random_start import RandomStart
+from core.environments.reference.frames import chosen_clips, frames_of
+from core.environments.reference.parts import Parts, Record
+from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times, history
-from core.environments.terms.actions import ActionTerm, AnyAction, ControlAction, JointAction
-from core.environments.terms.actuation import actuation
+from core.environments.terms.actions import ActionTerm, AnyAction, ControlAction, JointAction, PositionPart
+from core.environments.terms.actuation import actuation, joint_names
 from core.environments.terms.binding import BoundTerm, bound
 from core.environments.terms.commands import CommandTerm, PositionCommand, VelocityCommand
 from core.environments.terms.describe import height_of, root_of
 from core.environments.terms.feet import feet_of
+from core.environments.terms.followed import Followed
 from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
+from core.environments.terms.reference import Adaptive, Reference
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.task import (
@@ -52,7 +58,7 @@ _LOWEST, _HIGHEST = 0.4, 2.0
 _OF_THE_EPISODE, _OF_THE_START = 7, 11
 # What random numbers of a step are for, folded into their key: events have those from 3 on.
 _OF_THE_GROUP, _OF_THE_ACTION = 100, 101
-_OF_THE_TERRAIN = 8
+_OF_THE_TERRAIN, _OF_THE_REFERENCE = 8, 9
 # The field of the model that a torque-speed curve changes in each step.
 _FORCE_RANGE = "actuator_forcerange"
 
@@ -60,11 +66,12 @@ _FORCE_RANGE = "actuator_forcerange"
 @dataclass(frozen=True)
 class TaskSettings:
     """solver: for engines on which the solver is expensive; None: the model's own. aliases, reports_rewards:
-    see MujocoEnv."""
+    see MujocoEnv. clips: the files of the reference, by their ids."""
 
     solver: SolverSettings | None
     aliases: Mapping[str, str] = field(default_factory=dict[str, str])
     reports_rewards: bool = True
+    clips: Mapping[str, Path] = field(default_factory=dict[str, Path])
 
 
 class TaskEnv(MujocoEnv):
@@ -94,6 +101,9 @@ class TaskEnv(MujocoEnv):
             num_actions = len(options.action.names(parts))
         feet, num_commands = feet_of(model, options.feet, start), len(parts_of(options, parts).command)
         named = ModelIndex(model, root, start, feet, num_commands, num_actions)
+        if options.reference is not None:
+            followed = Followed.of(options.reference, model, root)
+            named = replace(named, followed_parts=followed, frames_ahead=options.reference.ahead.frames)
         self._draw = self._tell = None
         if options.command is not None:
             self._draw, self._tell = _commanded(options.command, named)
@@ -116,6 +126,10 @@ class TaskEnv(MujocoEnv):
         if options.critic is not None:
             self._critic = ObservationGroup(CRITIC_GROUP, options.critic, named, dt, is_exact=True)
         self._is_scaled = not isinstance(options.action, ControlAction) or options.action.scaled
+        self._playback = _playback(options.reference, named, dt, settings.clips)
+        self._row: jax.Array | None = None
+        self._record: Record | None = None
+        self._about_reference = _about_reference(options.action, model)
         self._encoders = self._biased_servos(options.action, model)
         self._curve = TorqueSpeedCurve.of(model) if options.action.torque_speed_curve else None
         self._action_delays = whole_steps(options.action.delay, dt)
@@ -134,9 +148,10 @@ class TaskEnv(MujocoEnv):
         super().__init__(model, engine, num_substeps=frames, observation_size=0, tracked_body=root)
         self.aliases, self.reports_rewards = settings.aliases, settings.reports_rewards
         self.action_size = num_actions
-        self.initial_qpos = jnp.asarray(start, jnp.float32)
-        if options.reset.lift and (free := named.free_joint(root)) is not None:
-            self.initial_qpos = self.initial_qpos.at[free + 2].add(options.reset.lift)
+        self._lift = np.zeros(model.nq, np.float32)
+        if (free := named.free_joint(root)) is not None:
+            self._lift[free + 2] = options.reset.lift
+        self.initial_qpos = jnp.asarray(start, jnp.float32) + self._lift
         self.initial_qvel, self.initial_act = _motion(model, options)
         self._spec, self._parts, self._inventory = spec, named, parts
         self._grid = _terrain(options, model, start, named)
@@ -155,7 +170,7 @@ class TaskEnv(MujocoEnv):
     ) -> State:
         """command: [m], in place of a random one's first numbers; of a task with commands."""
         reset, options = self._options.reset, self._options
-        there, model, of_the_terrain = self._on_terrain(key, model)
+        there, model, info = self._begun(key, model)
         physics = noisy_start(
             there,
             key,
@@ -167,8 +182,8 @@ class TaskEnv(MujocoEnv):
         nothing = jnp.zeros(self.action_size)
         start = self._parts.position(physics, self.tracked_body) if "start" in self._memory else None
         step = Step(physics, physics, nothing, nothing, self.dt, jnp, start=start, control=nothing)
-        info = of_the_terrain if start is None else {**of_the_terrain, "start": start}
-        step = self._grounded(step, info)
+        info |= {} if start is None else {"start": start}
+        step = self._followed_by(self._grounded(step, info), info)
         if "previous_action" in self._memory:
             info["previous_action"] = nothing
         if self._is_random:
@@ -211,7 +226,7 @@ class TaskEnv(MujocoEnv):
         arrived, entries = self._arrived(action, info)
         info |= entries
         if self._controls is None:
-            control = self._followed(self._control(arrived), info)
+            control = self._moved_along(self._followed(self._control(arrived), info), info)
         else:
             control = jnp.float32(self._controls.measure(self._at(before, info), arrived))
         physics = self._moved(before, control)
@@ -220,7 +235,9 @@ class TaskEnv(MujocoEnv):
         step = Step(
             before, physics, action, previous, self.dt, jnp, command, target, start=start, control=control
         )
-        step = self._grounded(step, info)
+        if self._playback is not None:
+            info[FRAME] = info[FRAME] + 1
+        step = self._followed_by(self._grounded(step, info), info)
         if "previous_action" in self._memory:
             info["previous_action"] = action
         if "earlier_action" in self._memory:
@@ -273,6 +290,55 @@ class TaskEnv(MujocoEnv):
         there = copy.copy(self)
         there._cell = cell
         return there
+
+    @property
+    def adaptive_parts(self) -> Parts | None:
+        """See `HasClipParts`."""
+        if self._playback is None or not isinstance(self._playback.parts.sampling, Adaptive):
+            return None
+        return self._playback.parts
+
+    def under_record(self, record: Record) -> "TaskEnv":
+        there = copy.copy(self)
+        there._record = record
+        return there
+
+    @property
+    def playback(self) -> Playback | None:
+        """The reference's frames; None without a reference."""
+        return self._playback
+
+    def at_frame(self, row: jax.Array) -> "TaskEnv":
+        """The environment whose episodes begin at this row [] int32 of the reference's frames."""
+        there = copy.copy(self)
+        there._row = row
+        return there
+
+    def _begun(
+        self, key: jax.Array, model: ModelFields
+    ) -> tuple["TaskEnv", ModelFields, dict[str, jax.Array]]:
+        """The environment that begins where the episode does, the fields of the model, and entries of
+        `info`."""
+        if self._playback is None:
+            return self._on_terrain(key, model)
+        there, info = self._in_a_clip(self._playback, key)
+        return there, model, info
+
+    def _in_a_clip(self, playback: Playback, key: jax.Array) -> tuple["TaskEnv", dict[str, jax.Array]]:
+        """The environment that begins at a moment of a clip, and entries of `info`."""
+        row = self._row
+        if row is None:
+            row = playback.start(jax.random.fold_in(key, _OF_THE_REFERENCE), self._record)
+        there = copy.copy(self)
+        qpos, there.initial_qvel = playback.state(row)
+        there.initial_qpos = qpos + self._lift
+        return there, {FRAME: row, FIRST_FRAME: row}
+
+    def _followed_by(self, step: Step, info: Mapping[str, jax.Array]) -> Step:
+        """The step, with the reference after it."""
+        if self._playback is None:
+            return step
+        return replace(step, following=self._playback.following(info[FRAME], info[FIRST_FRAME]))
 
     def _on_terrain(
         self, key: jax.Array, model: ModelFields
@@ -336,6 +402,14 @@ class TaskEnv(MujocoEnv):
         servos, places = self._encoders
         return control.at[servos].add(-self._policy.bias(info)[places])
 
+    def _moved_along(self, control: jax.Array, info: Mapping[str, jax.Array]) -> jax.Array:
+        """The controls of servos whose targets are about the reference's joints after the step."""
+        if self._playback is None or not self._about_reference.size:
+            return control
+        servos, joints = self._about_reference
+        qpos, _ = self._playback.state(info[FRAME] + 1)
+        return control.at[servos].add(qpos[joints] - jnp.asarray(self._parts.pose, jnp.float32)[joints])
+
     def _moved(self, before: PhysicsState, control: jax.Array) -> PhysicsState:
         """The physics after the control, with the motors' torques that are left at this speed."""
         if self._curve is None:
@@ -374,6 +448,8 @@ class TaskEnv(MujocoEnv):
         return task_slices(self._options, self._inventory)
 
     def simulation(self) -> Simulation:
+        if self._playback is not None:
+            raise NotSimulated("it follows a reference, which the page does not have")
         command = self._options.command
         if command is not None and not isinstance(command, VelocityCommand):
             raise NotSimulated(f"its command is of the kind {command.kind}, and the page tells velocities")
@@ -388,6 +464,8 @@ class TaskEnv(MujocoEnv):
 
     def deployment(self) -> Deployment:
         """The task as a robot runs it. Raises NotDeployed."""
+        if self._playback is not None:
+            raise NotDeployed("it follows a reference, and a robot has no clips")
         parts = parts_of(self._options, self._inventory)
         return deployment(self._options, self._parts, parts, self._actuation)
 
@@ -403,7 +481,12 @@ class TaskEnv(MujocoEnv):
         if (gait := self._options.gait) is not None:
             step = replace(step, phases=gait.phases(info["phase"], step))
         ended = [term.measure(step) for term in self._ends]
+        done = reduce(jnp.maximum, ended, jnp.zeros(()))
         obs, remembered = self._observe(step, info)
+        if self._playback is not None:
+            is_over = self._playback.is_over(info[FRAME])
+            remembered = {**remembered, TRUNCATED: is_over * (1.0 - done)}
+            done = jnp.maximum(done, is_over)
         return self.stepped(
             step.after,
             obs,
@@ -411,7 +494,7 @@ class TaskEnv(MujocoEnv):
                 name: weight * term.measure(step)
                 for name, weight, term in zip(self._names, self._weights, self._rewards, strict=True)
             },
-            done=reduce(jnp.maximum, ended, jnp.zeros(())),
+            done=done,
             metrics={name: value for term in self._metrics for name, value in term.measure(step).items()}
             | ({} if self._grid is None else self._grid.metrics(info)),
             info={**info, **remembered},
@@ -457,6 +540,28 @@ def _terrain(
         return None
     root = named.root_position
     return TerrainGrid(options.terrain, model, start[root : root + 2])
+
+
+def _playback(
+    reference: Reference | None, model: ModelIndex, control_step_s: float, files: Mapping[str, Path]
+) -> Playback | None:
+    if reference is None:
+        return None
+    clips = list(chosen_clips(reference.clips, files, 1.0 / control_step_s))
+    return Playback(reference, frames_of(clips, model.model, model.followed, model.pose), control_step_s)
+
+
+def _about_reference(action: AnyAction, model: mujoco.MjModel) -> np.ndarray:
+    """The servos whose targets are about the reference, and their joints' places in qpos, [2, n]."""
+    names = joint_names(model)
+    parts = (
+        [part for part in action.parts if isinstance(part, PositionPart)]
+        if isinstance(action, JointAction)
+        else []
+    )
+    along = [part for part in parts if part.about == "reference"]
+    servos = [number for number, name in enumerate(names) if any(part.drives(name) for part in along)]
+    return np.array([servos, model.jnt_qposadr[model.actuator_trnid[servos, 0]]], int).reshape(2, -1)
 
 
 def _default_reward() -> list[AnyReward]:

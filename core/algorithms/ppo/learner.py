@@ -55,6 +55,7 @@ from core.algorithms.sharding import ONE_DEVICE, Sharding
 from core.environments.environment import Environment
 from core.environments.wrappers.action_repeat import repeat_action
 from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_pool, start_episodes
+from core.environments.wrappers.clip_parts import counted, first_record, under_record
 from core.environments.wrappers.curriculum import at_progress, progress_at, progress_metrics
 from core.environments.wrappers.vectorized import VectorEnv
 
@@ -85,7 +86,8 @@ class TrainingState:
 
     learning_rate: [] float32, that of the last minibatch, from which an adaptive one continues; 0 before the
     first. num_updates: [] int32, updates made so far. key: the next update's random key. eval_key: the random
-    key of every evaluation, never changed.
+    key of every evaluation, never changed. record: how often steps failed in each part of a reference's
+    clips; None of a task whose starts do not follow from that.
     """
 
     params: PPONetworkParams
@@ -96,6 +98,7 @@ class TrainingState:
     key: jax.Array
     eval_key: jax.Array
     num_updates: jax.Array
+    record: jax.Array | None = None
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,7 @@ class Learner:
             key=key,
             eval_key=eval_key,
             num_updates=jnp.int32(0),
+            record=first_record(self.environment),
         )
 
     def update(
@@ -154,7 +158,7 @@ class Learner:
             state.episodes,
             jax.random.split(act_key, settings.actions_per_update),
             episode_length=settings.actions_per_episode,
-            starts=self._starts(starts_key, progress),
+            starts=self._starts(starts_key, self._envs_at(progress, state.record)),
         )
         learnt_from = transitions
         if settings.bootstrap_on_timeout:
@@ -190,6 +194,7 @@ class Learner:
             key=next_key,
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
+            record=counted(self.environment, state.record, outcome.parts, outcome.fell),
         )
         of_losses = [~jnp.isfinite(metrics[name]) for name in _LOSSES]
         failure = find_failure(transitions.next_observation, outcome, [*of_losses, any_not_finite(params)])
@@ -206,8 +211,10 @@ class Learner:
         """The curriculum's progress, if the environment has a curriculum."""
         return progress_at(self.environment, num_updates, self.settings.env_steps_per_update)
 
-    def _envs_at(self, progress: jax.Array | None) -> VectorEnv:
-        return replace(self._envs, environment=at_progress(self.environment, progress))
+    def _envs_at(self, progress: jax.Array | None, record: jax.Array | None = None) -> VectorEnv:
+        """Those whose fresh starts are those at this progress, and follow from this record."""
+        starting = under_record(at_progress(self.environment, progress), record)
+        return replace(self._envs, environment=starting)
 
     @property
     def _adapts_to_kl(self) -> bool:
@@ -224,7 +231,7 @@ class Learner:
         enough = -(-self.settings.actions_per_episode // per_update)
         return jnp.minimum(state.num_updates, enough) * per_update
 
-    def _starts(self, key: jax.Array, progress: jax.Array | None) -> Starts | None:
+    def _starts(self, key: jax.Array, starting: VectorEnv) -> Starts | None:
         """Initial states of one update's episodes: drawn from its key, so that no state has to hold them."""
         settings = self.settings
         if settings.returns_to_first_state:
@@ -232,9 +239,7 @@ class Learner:
         pool_key, choose_key = jax.random.split(key)
         shape = (settings.actions_per_update, settings.num_envs)
         return Starts(
-            pool=self.sharding.everywhere(
-                fresh_pool(self._envs_at(progress), pool_key, settings.reset_pool_size)
-            ),
+            pool=self.sharding.everywhere(fresh_pool(starting, pool_key, settings.reset_pool_size)),
             chosen=self.sharding.split(
                 jax.random.randint(choose_key, shape, 0, settings.reset_pool_size), axis=1
             ),

@@ -324,6 +324,18 @@ def _joystick(steps: int, steps_on_a_cpu: int) -> Mapping[Device, PPOSpec]:
     }
 
 
+def imitating(steps: int, steps_on_a_cpu: int) -> Mapping[Device, PPOSpec]:
+    """The values for a body that follows clips. Its starts are spread over them, and so are its ends."""
+    own = {
+        "discounting": 0.98,
+        "entropy_cost": 0.002,
+        "reset_pool_size": 1024,
+        "random_initial_episode_length": False,
+    }
+    values = _joystick(steps, steps_on_a_cpu)
+    return {device: settings.model_copy(update=own) for device, settings in values.items()}
+
+
 G1 = _joystick(24_000_000, 10_000_000)
 GO1 = _joystick(12_000_000, 3_000_000)
 
@@ -339,7 +351,13 @@ _GET_UP: Mapping[str, Any] = {
 
 def g1(options: G1Options) -> Mapping[Device, PPOSpec]:
     """The values for the G1's tasks."""
-    return _joystick(130_000_000, 30_000_000) if options.task == "rough" else G1
+    match options.task:
+        case "walk":
+            return G1
+        case "rough":
+            return _joystick(130_000_000, 30_000_000)
+        case "imitate":
+            return imitating(50_000_000, 10_000_000)
 
 
 def go1(options: Go1Options) -> Mapping[Device, PPOSpec]:
@@ -356,6 +374,8 @@ def go1(options: Go1Options) -> Mapping[Device, PPOSpec]:
 
 def own_model(options: TaskOptions) -> Mapping[Device, PPOSpec]:
     """The values for a user's own model or a package's: a robot's where servos' targets follow a command."""
+    if options.reference is not None and options.action.kind == "joint_position":
+        return imitating(50_000_000, 10_000_000)
     walks = options.command is not None and options.action.kind == "joint_position"
     return _joystick(30_000_000, 6_000_000) if walks else MJCF
 

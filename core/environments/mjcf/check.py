@@ -8,11 +8,12 @@ from itertools import islice
 from core.bounds import MOST_OBSERVED, MOST_PROBLEMS
 from core.documents import Strict
 from core.environments.info import Slice
-from core.environments.mjcf import action_check
+from core.environments.mjcf import action_check, reference_check
 from core.environments.mjcf.unmatched import instead_of, no_keyframe, unmatched, unmatched_by
 from core.environments.randomization import FIELDS
 from core.environments.terms.actions import JointPart
 from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
+from core.environments.terms.imitation import TrackJoints, TrackJointVelocities
 from core.environments.terms.inventory import Inventory, Kind, ModelParts, names_by_kind
 from core.environments.terms.locomotion import JointPositions, JointVelocities, Posture, VariablePosture
 from core.environments.terms.observations import Activation, ObservationTerm, Qpos, Sensors
@@ -36,7 +37,9 @@ _TOUCHING = "body with a geom that can touch anything"
 # A model may have thousands of parts, so only the first wrong names are compared with them.
 _MAX_HINTS = 3
 # Their `joints` are patterns.
-_BY_PATTERN = JointPositions | JointVelocities | OutsideJointRange | JointPart
+_BY_PATTERN = (
+    JointPositions | JointVelocities | OutsideJointRange | JointPart | TrackJoints | TrackJointVelocities
+)
 # The fields of terms that name parts of the model, and the kind of part.
 _NAMING: dict[str, Kind] = {
     "body": "body",
@@ -119,6 +122,8 @@ def _of_options(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     yield from _of_needs(options, parts)
     yield from _of_patterns(options, parts)
     yield from action_check.problems(options, model, f"{_OPTIONS}/action")
+    is_free = (options.root or model.root) in parts.free
+    yield from reference_check.problems(options, model, f"{_OPTIONS}/reference", is_free=is_free)
     yield from _of_delays(options, model)
     yield from _of_reset(options.reset, model)
     if options.terrain is not None:
@@ -167,6 +172,7 @@ def _of_needs(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
         "foot_colliders": not bare,
         "free_root": root in parts.free,
         "gait": options.gait is not None,
+        "reference": options.reference is not None,
         "terrain": options.terrain is not None,
     }
     for pointer, term in _terms(options):
@@ -234,6 +240,7 @@ _NEEDED: dict[Need, str] = {
     "foot_colliders": "feet that can touch something, and no geom of {foot!r} can",
     "free_root": "a free joint of the root, and the body {root!r} has none",
     "gait": "a `gait`",
+    "reference": "a `reference`: the clips that the body follows",
     "terrain": "a `terrain`",
 }
 
@@ -265,7 +272,7 @@ def _of_patterns(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
             ]
         if isinstance(term, OfBodyContact):
             yield from unmatched(term.bodies, parts.touching, _TOUCHING, f"{here}/bodies")
-        if isinstance(term, JointPositions | JointVelocities | OutsideJointRange):
+        if isinstance(term, _BY_PATTERN) and not isinstance(term, JointPart):
             yield from unmatched(term.joints or (), joints, _JOINT, f"{here}/joints")
         if isinstance(term, Qpos):
             yield from unmatched(term.without or (), joints, _JOINT, f"{here}/without")

@@ -1,6 +1,6 @@
 """A user's own model as an environment: the edits of its file, and the checks of its task."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from core.environments.mjcf import edit_check, holding
@@ -9,7 +9,7 @@ from core.environments.mjcf.edit_options import HOME
 from core.environments.mjcf.edits import edit
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.model import read
-from core.environments.task import TaskEnv
+from core.environments.task import TaskEnv, TaskSettings, solver_settings
 from core.environments.task_model import compiled, stepped_model
 from core.environments.terms.describe import inventory
 from core.environments.terms.task import TaskOptions
@@ -20,8 +20,14 @@ from core.reasons import Reason
 _EDITS = "/environment/options/edits"
 
 
-def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None = None) -> TaskEnv:
-    """The environment under these options. model: the file that holds the model.
+def make(
+    options: MjcfOptions,
+    build_engine: EngineBuilder,
+    model: Path | None = None,
+    clips: Mapping[str, Path] | None = None,
+) -> TaskEnv:
+    """The environment under these options. model: the file that holds the model. clips: the files of the
+    reference, by id.
 
     Raises JobFailed("bad_model") if there is none, it does not compile, or the terms do not fit it.
     """
@@ -35,7 +41,8 @@ def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None =
         _check(problems(task, parts))
         stepped = stepped_model(spec, task, parts)
         _check(holding.problems(stepped, options.edits, _EDITS))
-        return TaskEnv(task, parts, spec, stepped, build_engine)
+        settings = TaskSettings(solver_settings(task), clips=clips or {})
+        return TaskEnv(task, parts, spec, stepped, build_engine, settings)
 
 
 def _check(problems: Iterable[Problem]) -> None:

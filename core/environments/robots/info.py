@@ -1,7 +1,7 @@
 """The catalog's rows of robots: tasks of terms, for bodies that come with a package."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -11,7 +11,7 @@ from core.environments.mjcf.edit_options import HOME
 from core.environments.robots.g1 import G1
 from core.environments.robots.go1 import GO1
 from core.environments.robots.robot import Robot
-from core.environments.robots.tasks import get_up, rough
+from core.environments.robots.tasks import get_up, imitate, rough
 from core.environments.terms.actions import AnyAction, JointPositionAction
 from core.environments.terms.commands import AnyCommand, GaitClock, VelocityCommand
 from core.environments.terms.inventory import inventory_of
@@ -36,6 +36,7 @@ from core.physics.availability import Rule
 ROBOTS = {robot.name: robot for robot in (G1, GO1)}
 
 _SIDEWAYS, _LEGS = ".*_(hip_yaw|hip_roll)_joint", ".*_(hip|knee|ankle)_.*"
+IMITATE = "imitate"
 _LIMITS = [JointLimits(weight=2.0, share=0.9)]
 _TASK = (
     "What the robot is to do, and so what the options are that a job leaves out. walk: by command, on the "
@@ -68,6 +69,15 @@ class JoystickOptions(TaskOptions):
         task = given.get("task") if isinstance(given, Mapping) else None
         return {**cls.of_task[task], **given} if isinstance(task, str) and task in cls.of_task else given
 
+    @model_validator(mode="after")
+    def _has_clips(self) -> Self:
+        if getattr(self, "task", None) == IMITATE and self.reference is None:
+            raise ValueError(
+                "The task imitate needs `reference`, with the clips to follow: "
+                '{"clips": [{"file": "sha256:…"}]} takes those of a file that `POST /clips` took'
+            )
+        return self
+
 
 def _reward_of_g1(swing: float, sideways: float, torso: TorsoTerms) -> list[AnyReward]:
     posture = Posture(weight=0.15, weights={_SIDEWAYS: sideways, _LEGS: 0.0, ".*": 1.0})
@@ -78,10 +88,13 @@ class G1Options(JoystickOptions):
     """Unitree's G1 that walks by command, on a floor."""
 
     of_task: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "rough": rough(_reward_of_g1(0.18, 0.1, TorsoTerms(tilt=0.4, climbing=0.1, turning=3.0)), lowest=0.3)
+        "rough": rough(_reward_of_g1(0.18, 0.1, TorsoTerms(tilt=0.4, climbing=0.1, turning=3.0)), lowest=0.3),
+        IMITATE: imitate(0.3),
     }
 
-    task: Literal["walk", "rough"] = Field(default="walk", description=_TASK)
+    task: Literal["walk", "rough", "imitate"] = Field(
+        default="walk", description=f"{_TASK} imitate: follows the clips of `reference`."
+    )
     reward: Rewards = Field(
         default=_reward_of_g1(0.1, 0.5, ON_THE_FLAT),
         description="Terms to sum.",

@@ -10,6 +10,8 @@ from typing import Any
 from core.environments.mjcf.edit_options import HOME
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.commands import Push, VelocityCommand
+from core.environments.terms.imitating import OBSERVATION as OF_A_REFERENCE
+from core.environments.terms.imitating import imitating_reward
 from core.environments.terms.locomotion import (
     BaseAngularVelocity,
     BaseHeight,
@@ -25,7 +27,12 @@ from core.environments.terms.observations import PreviousAction
 from core.environments.terms.rewards import ActionRate, Healthy, JointLimits, Upright
 from core.environments.terms.starts import Fallen
 from core.environments.terms.task import Reset
-from core.environments.terms.terminations import AnyTermination, NotUpright, OutsideHeightRange
+from core.environments.terms.terminations import (
+    AnyTermination,
+    FarFromReference,
+    NotUpright,
+    OutsideHeightRange,
+)
 from core.environments.terms.terrain import HeightScan, Terrain
 from core.environments.terms.tracking import Command
 from core.environments.terms.vocabulary import AnyReward
@@ -93,4 +100,17 @@ def get_up(standing: float, scale: Mapping[str, float]) -> Mapping[str, Any]:
             ActionRate(weight=0.01),
             JointLimits(weight=1.0, share=0.95),
         ],
+    }
+
+
+def imitate(scale: float) -> Mapping[str, Any]:
+    """Follows a reference. scale: of an action, in rad about the reference's joints."""
+    return {
+        "command": None,
+        "gait": None,
+        "action": JointPositionAction(about="reference", scale=scale),
+        "reset": Reset(keyframe=HOME, position_noise=0.02, velocity_noise=0.2),
+        "termination": [FarFromReference()],
+        "observation": OF_A_REFERENCE,
+        "reward": imitating_reward(of_joints=[JointLimits(weight=2.0, share=0.95)]),
     }

@@ -8,7 +8,7 @@ from pydantic import Field
 from core.bounds import Real
 from core.documents import Strict
 from core.environments.terms.inventory import ActuatorKind, Inventory
-from core.environments.terms.term import DELAY, Array, Delay, Kinds, Term
+from core.environments.terms.term import DELAY, Array, Delay, Kinds, Need, Term
 from core.patterns import PATTERNS, Patterns, PerName, matching
 
 if TYPE_CHECKING:
@@ -71,6 +71,11 @@ class JointAction(Action):
         raise NotImplementedError
 
     @property
+    def needed(self) -> frozenset[Need]:
+        is_about_it = any(isinstance(part, PositionPart) and part.about == "reference" for part in self.parts)
+        return frozenset({"reference"}) if is_about_it else frozenset()
+
+    @property
     def follows_encoders(self) -> bool:
         """Whether position servos follow what the encoders read."""
         return any(isinstance(part, PositionPart) and part.encoder_bias for part in self.parts)
@@ -101,7 +106,8 @@ class JointPart(Strict):
 
 
 class PositionPart(JointPart):
-    """A target for each joint's servo: its position at an episode's start, plus the action times a scale."""
+    """A target for each joint's servo: its position in the pose, or in the reference, plus the action times a
+    scale."""
 
     actuator = "position"
     what = "position servo"
@@ -111,6 +117,11 @@ class PositionPart(JointPart):
         default=None,
         description="rad or m for an action of 1; null: where half of the servo's greatest force pushes, or "
         f"0.25 where it has no limit. {_SCALE}",
+    )
+    about: Literal["pose", "reference"] = Field(
+        default="pose",
+        description="What an action of 0 asks for: the joint's position in the pose, or where the reference "
+        "has it after the step.",
     )
     encoder_bias: bool = Field(
         default=False,
@@ -148,7 +159,8 @@ class EffortPart(JointPart):
 
 
 class JointPositionAction(PositionPart, JointAction):
-    """A target for each joint's servo: its position at an episode's start, plus the action times a scale."""
+    """A target for each joint's servo: its position in the pose, or in the reference, plus the action times a
+    scale."""
 
 
 class JointVelocityAction(VelocityPart, JointAction):

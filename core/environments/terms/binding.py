@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from core.environments.terms.foot_times import FootTimes
+from core.environments.terms.reference import Following, Frame
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.term import Array, Term
 from core.errors import JobFailed
@@ -49,6 +50,7 @@ def bound(
         foot_times=FootTimes(*[each_foot] * 5),
         earlier_action=nothing,
         control=np.zeros(model.model.nu),
+        following=_following(data, model),
     )  # fmt: skip
     measure = partial(_measured, term, model, method)
     number = np.size(measure(step, *given))
@@ -56,6 +58,16 @@ def bound(
         detail = f"The {term.noun} {term.label} gives {number} numbers by `{method}`, and should give {size}."
         raise JobFailed(Reason.BAD_MODEL, detail)
     return BoundTerm(frozenset(derived.read), number, measure)
+
+
+def _following(data: mujoco.MjData, model: ModelIndex) -> Following | None:
+    """A reference that is the model's own state; None for a body that follows none."""
+    if (followed := model.followed_parts) is None:
+        return None
+    bodies, nothing = followed.bodies, np.zeros((len(followed.bodies), 3))
+    now = Frame(data.qpos, data.qvel, data.xpos[bodies], data.xquat[bodies], nothing, nothing)
+    ahead = Frame(*(np.stack([values] * model.frames_ahead) for values in now))
+    return Following(now, ahead, np.zeros(()))
 
 
 def _measured(term: Term, model: ModelIndex, method: str, step: Step, *given: Array) -> Array:

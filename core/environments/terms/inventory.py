@@ -155,13 +155,16 @@ def names_by_kind(model: Inventory) -> dict[str, tuple[str, ...]]:
 class ModelParts:
     """A model as a task names its parts. root: the body of the terms that name none. acting: the names of an
     action's numbers. feet: the bodies that are, in the order of the gait. command: the name and the unit of
-    each number of the task's command."""
+    each number of the task's command. compared: the bodies that are compared with a reference, of which
+    frames_ahead are seen."""
 
     model: Inventory
     root: str
     acting: Sequence[str]
     feet: tuple[str, ...] = ()
     command: tuple[tuple[str, str], ...] = ()
+    compared: tuple[str, ...] = ()
+    frames_ahead: int = 0
 
     @property
     def feet_colliders(self) -> dict[str, list[str]]:

@@ -103,4 +103,27 @@ class FollowedPosition(MetricTerm):
         return {"position_error": step.xp.linalg.norm(away)}
 
 
-AnyMetric = Annotated[Travel | DistanceFromStart | FollowedCommand | FollowedPosition, METRICS]
+class FollowedReference(MetricTerm):
+    """How far the body is from the reference: `root_error` in m, `root_turn_error` in rad, `joint_error`, the
+    joints' mean in rad or m, and `body_error`, the bodies' mean in m. `clip_followed` adds up, over an
+    episode, to the share of the way from its start to the clip's end: 1 where it got there."""
+
+    needs = frozenset({"reference"})
+
+    kind: Literal["followed_reference"] = "followed_reference"
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Mapping[str, Array]:
+        """[] each."""
+        xp, bodies = step.xp, model.followed.offsets(step, model.followed.compared)
+        return {
+            "root_error": xp.sqrt(xp.sum(model.followed.root_offset(step) ** 2)),
+            "root_turn_error": model.followed.root_turn(step),
+            "joint_error": xp.mean(abs(model.followed.joint_offsets(step))),
+            "body_error": xp.mean(xp.sqrt(xp.sum(bodies**2, -1))),
+            "clip_followed": step.reference.share,
+        }
+
+
+AnyMetric = Annotated[
+    Travel | DistanceFromStart | FollowedCommand | FollowedPosition | FollowedReference, METRICS
+]

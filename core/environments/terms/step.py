@@ -13,8 +13,10 @@ from core.environments.model_rows import object_names, rows_of
 from core.environments.randomization import FIELDS, FieldName
 from core.environments.terms.describe import touchable
 from core.environments.terms.feet import Foot
+from core.environments.terms.followed import Followed
 from core.environments.terms.foot_times import FootTimes
 from core.environments.terms.readings import ContactCount, ContactForce, ContactNetForce, is_added
+from core.environments.terms.reference import Following
 from core.environments.terms.term import Array
 from core.environments.terms.terrain import Ground
 from core.patterns import by_name, matching
@@ -31,6 +33,7 @@ class Step:
     its duration in seconds. xp: the library of its arrays, `jax.numpy` or `numpy`. command: [n], as its
     action knew it; None without one. target: what was drawn, of commands that follow from it. phases: of the
     gait's clock, [feet] in rad. control: [nu], what the action set. ground: None without a terrain.
+    following: the reference; None without one.
 
     For terms that remember them: previous_action; start: the root's position [3] at the episode's start, in
     m; foot_times; earlier_action: [n], the one before the previous one.
@@ -50,6 +53,7 @@ class Step:
     earlier_action: Array = None
     control: Array = None
     ground: Ground | None = None
+    following: Following | None = None
 
     @property
     def is_moving(self) -> Array:
@@ -71,6 +75,12 @@ class Step:
         assert self.foot_times is not None  # noqa: S101 - a term that does not say so
         return self.foot_times
 
+    @property
+    def reference(self) -> Following:
+        """What the body follows, for terms that need it."""
+        assert self.following is not None  # noqa: S101 - a task without a reference
+        return self.following
+
     def array(self, values: Sequence[float] | np.ndarray) -> Array:
         """[n] float32."""
         return self.xp.asarray(values, self.xp.float32)
@@ -88,7 +98,7 @@ class ModelIndex:
 
     pose: positions [nq] in which episodes begin, before noise. feet: in the order of the gait.
     num_commands, num_targets, num_actions: how many numbers a command has, what it follows from, and an
-    action.
+    action. followed_parts: of a body that follows a reference; frames_ahead: of which it sees so many.
     """
 
     model: mujoco.MjModel
@@ -98,6 +108,14 @@ class ModelIndex:
     num_commands: int = 3
     num_actions: int = 0
     num_targets: int = 2
+    followed_parts: Followed | None = None
+    frames_ahead: int = 0
+
+    @property
+    def followed(self) -> Followed:
+        """The parts that follow a reference, for terms that need one."""
+        assert self.followed_parts is not None  # noqa: S101 - a task without a reference
+        return self.followed_parts
 
     def body(self, name: str | None) -> int:
         return self.root if name is None else int(self.model.body(name).id)

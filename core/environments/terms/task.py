@@ -1,6 +1,7 @@
 """A task: the terms of an environment, how its episodes begin, and how its physics is stepped."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -23,10 +24,12 @@ from core.environments.terms.metrics import (
     DistanceFromStart,
     FollowedCommand,
     FollowedPosition,
+    FollowedReference,
     Travel,
 )
 from core.environments.terms.observations import ObservationTerm, Qpos, Qvel, Sensors
 from core.environments.terms.readings import Reading
+from core.environments.terms.reference import Reference, compared_bodies
 from core.environments.terms.starts import Fallen, PoseRange, VelocityRange
 from core.environments.terms.term import Memory, Name, Term
 from core.environments.terms.terminations import AnyTermination
@@ -134,6 +137,9 @@ class TaskOptions(Strict):
     terrain: Terrain | None = Field(
         default=None,
         description="Uneven ground, another in each episode; null: the model's own ground alone.",
+    )
+    reference: Reference | None = Field(
+        default=None, description="What the body follows: clips of its motion; null: nothing."
     )
     n_frames: int | None = Field(
         default=None, ge=1, le=1000, description="Physics steps per action; null: as many as fill 0.02 s."
@@ -275,7 +281,11 @@ def parts_of(options: TaskOptions, model: Inventory) -> ModelParts:
     feet = matching_in_turn(options.feet, model.bodies[1:])
     told = () if options.command is None else options.command.ranges
     command = tuple((each.name, each.unit) for each in told)
-    return ModelParts(model, options.root or model.root, names, tuple(feet), command)
+    parts = ModelParts(model, options.root or model.root, names, tuple(feet), command)
+    if (reference := options.reference) is None:
+        return parts
+    compared = tuple(compared_bodies(reference, model))
+    return replace(parts, compared=compared, frames_ahead=reference.ahead.frames)
 
 
 def observed(options: TaskOptions) -> Sequence[ObservationTerm]:
@@ -288,6 +298,8 @@ def reported(options: TaskOptions) -> Sequence[Term]:
     if options.metrics is not None:
         return options.metrics
     travel = Travel(report=["x_position", "y_position", "height", "x_velocity", "y_velocity"])
+    if options.reference is not None:
+        return [travel, FollowedReference()]
     match options.command:
         case None:
             return [travel, DistanceFromStart()]

@@ -59,7 +59,7 @@ def whole_steps(delay: tuple[float, float] | None, control_step_s: float) -> ran
 # this kind, or with this part.
 Need = Literal[
     "command", "command_height", "command_pitch", "feet", "foot_colliders", "free_root", "gait",
-    "position_command", "terrain", "velocity_command",
+    "position_command", "reference", "terrain", "velocity_command",
 ]  # fmt: skip
 # What is carried from step to step for the terms that read it, by the names of `Step`.
 Memory = Literal["earlier_action", "foot_times", "previous_action", "start"]

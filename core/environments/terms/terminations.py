@@ -1,9 +1,9 @@
 """The terms that end an episode."""
 
 from math import cos, pi
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from core.environments.options import Range
 from core.environments.terms.term import (
@@ -126,6 +126,62 @@ class FellIntoHole(OfBody, TerminationTerm):
         return step.xp.where(height < lowest, 1.0, 0.0)
 
 
+_Bound = Annotated[float, Field(gt=0, le=100)] | None
+
+
+class FarFromReference(TerminationTerm):
+    """The body has lost the reference: one of these is further from it than its bound; null: no bound.
+
+    Source for the defaults: mjlab's task `tracking`, and, for the root, track-mjx.
+    """
+
+    needs = frozenset({"reference"})
+
+    kind: Literal["far_from_reference"] = "far_from_reference"
+    root_position: _Bound = Field(default=0.5, description="The root, in m.")
+    root_orientation: _Bound = Field(default=1.0, description="The root's turn, in rad.")
+    anchor_height: _Bound = Field(default=0.25, description="How high the anchor is, in m.")
+    end_effector_height: _Bound = Field(default=0.25, description="How high any end effector is, in m.")
+    joint_position: _Bound = Field(default=None, description="The joints' mean, in rad or m.")
+    body_position: _Bound = Field(
+        default=None, description="Any compared body's place about the anchor, in m."
+    )
+
+    @model_validator(mode="after")
+    def _has_a_bound(self) -> Self:
+        if not self._bounds:
+            raise ValueError("it has no bound, so it would never end an episode: leave it out")
+        return self
+
+    @property
+    def _bounds(self) -> dict[str, float]:
+        fields = type(self).model_fields
+        return {name: value for name in fields if name != "kind" and (value := getattr(self, name))}
+
+    def measure(self, step: "Step", model: "ModelIndex") -> Array:
+        worst = step.xp.stack(
+            [self._error(name, step, model) / bound for name, bound in self._bounds.items()]
+        )
+        return step.xp.where(step.xp.max(worst) > 1.0, 1.0, 0.0)
+
+    def _error(self, name: str, step: "Step", model: "ModelIndex") -> Array:
+        xp, followed = step.xp, model.followed
+        match name:
+            case "root_position":
+                return xp.sqrt(xp.sum(followed.root_offset(step) ** 2))
+            case "root_orientation":
+                return followed.root_turn(step)
+            case "anchor_height":
+                return abs(followed.anchor_lift(step))
+            case "end_effector_height":
+                return xp.max(abs(followed.offsets(step, followed.end_effectors)[:, 2]))
+            case "joint_position":
+                return xp.mean(abs(followed.joint_offsets(step)))
+            case _:
+                away = followed.offsets(step, followed.compared)
+                return xp.sqrt(xp.max(xp.sum(away**2, -1)))
+
+
 AnyTermination = Annotated[
     OutsideHeightRange
     | OutsideJointRange
@@ -134,6 +190,7 @@ AnyTermination = Annotated[
     | IllegalContact
     | BadOrientation
     | OutOfBounds
-    | FellIntoHole,
+    | FellIntoHole
+    | FarFromReference,
     TERMINATIONS,
 ]

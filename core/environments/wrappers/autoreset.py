@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from core.environments.environment import State
+from core.environments.environment import TRUNCATED, State, terminated
 from core.environments.wrappers.terrain_levels import cells_of_pool, first_cells
 from core.environments.wrappers.vectorized import VectorEnv
 
@@ -25,9 +25,9 @@ class Episodes:
     state: after the last step, already a fresh start where an episode ended; `done` is 1 there, after a
     termination or a truncation. first: every environment's own first state, if it returns to that; None if
     fresh starts come from a pool. truncated: [num_envs], 1 where the last step cut an episode off that had
-    not terminated. length: [num_envs] int32, actions taken in the running episode.
-    score: [num_envs], rewards summed over it. ended_length, ended_score: [num_envs], those of the
-    episode that the last step ended, and 0 elsewhere.
+    not terminated, by its length or because its task was over. length: [num_envs] int32, actions taken in the
+    running episode. score: [num_envs], rewards summed over it. ended_length, ended_score: [num_envs], those
+    of the episode that the last step ended, and 0 elsewhere.
     """
 
     state: State
@@ -95,6 +95,8 @@ def follow(episodes: Episodes, state: State, starts: State | None, *, episode_le
     score = episodes.score + state.reward
     cut_off = jnp.where(length >= episode_length, 1.0, 0.0)
     done = jnp.maximum(state.done, cut_off)
+    if TRUNCATED in state.info:
+        cut_off = jnp.maximum(cut_off, state.info[TRUNCATED])
     ended = done > 0
     restarted = replace(
         state,
@@ -106,7 +108,7 @@ def follow(episodes: Episodes, state: State, starts: State | None, *, episode_le
     return Episodes(
         state=restarted,
         first=episodes.first,
-        truncated=cut_off * (1 - state.done),
+        truncated=cut_off * (1 - terminated(state)),
         length=jnp.where(ended, 0, length),
         score=jnp.where(ended, 0.0, score),
         ended_length=jnp.where(ended, length, 0),

@@ -1,0 +1,88 @@
+"""One training of a body that follows clips, and how far its policy follows them from many starts.
+
+Request: body, a robot; options (without `reference`, which is added); reference (without its clips); clips, a
+file in any format that `POST /clips` takes; settings (of PPO; what they leave out is tuned); seed; device
+(`cpu` or `gpu`); cache, a folder for compiled programs; starts; keep, a file for the policy, or null.
+"""
+
+import hashlib
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from bench.child import answer
+from bench.children.train_ours import engine_of, keep_compiled
+from core.start_up import start_lean
+
+
+def work(request: dict[str, Any]) -> dict[str, Any]:
+    """built_at, policy_at, tested_at: the hours when the environment was built, the policy was trained, and
+    its trial was over. training: [[steps, seconds of training until then], …]; steps; engine; all, and by
+    clip: see `Followed`; of C MuJoCo."""
+    start_lean()  # As a job does.
+    from core.algorithms.events import TrainingProgress
+    from core.algorithms.following import followed, spread_over
+    from core.algorithms.run import make_run
+    from core.algorithms.trained_policy import load_policy
+    from core.environments import catalog
+    from core.jobs.resolved import resolve_job
+    from core.jobs.spec import TrainSpec
+    from core.physics.choose import engine_builder
+
+    with tempfile.TemporaryDirectory() as folder:
+        clips = _canonical(request, Path(folder))
+        [identity] = clips
+        reference = {**request["reference"], "clips": [{"file": identity}]}
+        body = {"id": request["body"], "options": {**request["options"], "reference": reference}}
+        settings = {"kind": "ppo", **request["settings"]}
+        job = resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": settings}))
+        ppo = job.settings_on(request["device"])
+        engine = engine_of("auto", job.info, request["device"], ppo.num_parallel_envs)
+        keep_compiled(request["cache"], engine)
+        environment = catalog.make(job.info, job.options, engine_builder(engine), clips=clips)
+        told: dict[str, Any] = {"engine": engine, "training": [], "built_at": time.time()}
+        run = make_run(environment, ppo, seed=request["seed"], checkpoint_every_steps=None)
+        for event in run.events():
+            if isinstance(event, TrainingProgress):
+                told["training"].append((event.step, event.metrics["training/walltime"]))
+        content = run.policy()
+        told |= {"steps": run.step, "policy_at": time.time()}
+        if request["keep"] is not None:
+            Path(request["keep"]).write_bytes(content)
+        judged = catalog.make(job.info, job.options, engine_builder("native"), clips=clips)
+        policy = load_policy(content, "ppo", is_checkpoint=False)
+        rows = spread_over(judged, request["starts"])
+        whole, by_clip = followed(judged, policy, rows, seed=request["seed"])
+        told |= {"all": whole.document(), "clips": {name: one.document() for name, one in by_clip.items()}}
+    return {**told, "tested_at": time.time()}
+
+
+def _canonical(request: dict[str, Any], folder: Path) -> dict[str, Path]:
+    """The file of the request's clips as the service keeps it, by its id."""
+    from core.clips.archive import to_bytes
+
+    file = Path(request["clips"])
+    kept = folder / "clips.npz"
+    kept.write_bytes(to_bytes(_clips(file)))
+    return {f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}": kept}
+
+
+def _clips(file: Path) -> list[Any]:
+    """Those of our own file, or of an NPZ as mjlab's whose `joint_pos` has the root's seven numbers first."""
+    import numpy as np
+
+    from core.clips.archive import from_file
+    from core.clips.clip import Clip
+
+    with np.load(file) as arrays:
+        if "joint_pos" not in arrays:
+            return from_file(file)
+        positions, joints = arrays["joint_pos"], tuple(map(str, arrays["joint_names"]))
+        turns = positions[:, 3:7] / np.linalg.norm(positions[:, 3:7], axis=1, keepdims=True)
+        rate = float(np.ravel(arrays["fps"])[0])
+        return [Clip(file.stem, rate, positions[:, :3], turns, joints, positions[:, 7:])]
+
+
+if __name__ == "__main__":
+    answer(work)

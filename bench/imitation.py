@@ -1,0 +1,163 @@
+"""A robot that follows clips: the share of starts that come to the clips' ends, and the seconds of training.
+
+Each seed is trained under the catalog's tuned settings in a process of its own, which then lets the policy
+follow, in C MuJoCo, from 256 starts that are spread over the clips. Cold: nothing is compiled; warm: with
+what the cold run left on disk. It needs no service and no network: `python -m bench.imitation --gpu --clip
+FILE` where only a training's packages are installed.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bench.child import ChildFailed, run_child
+from bench.machine import this_commit, this_machine
+from bench.summary import Figure, Run, middle, save, show
+
+_CHILD = "bench.children.train_imitation"
+_TIMEOUT_S = {"gpu": 900.0, "cpu": 7200.0}
+_STARTS, _QUICK_STARTS = 256, 4
+_QUICK: dict[str, Any] = {
+    "num_timesteps": 2_000,
+    "num_envs": 16,
+    "unroll_length": 5,
+    "batch_size": 16,
+    "num_minibatches": 2,
+    "num_evals": 0,
+    "reset_pool_size": 16,
+}
+# On a GPU of the class of an H100, and on two cores: s of training.
+_MOST_S = {"gpu": 60.0, "cpu": 3600.0}
+_REACHED = 0.95
+
+Answer = dict[str, Any]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Those of a measurement of imitation."""
+    parser.add_argument("--clip", type=Path, required=True, metavar="FILE", help="of clips, in any format")
+    parser.add_argument("--body", default="g1", metavar="ROBOT", help="of the catalog, by default g1")
+    parser.add_argument("--steps", type=int, metavar="N", help="of a training; by default tuned")
+    parser.add_argument("--settings", type=json.loads, default={}, metavar="JSON", help="of PPO")
+    parser.add_argument("--options", type=json.loads, default={}, metavar="JSON", help="of the task")
+    parser.add_argument("--reference", type=json.loads, default={}, metavar="JSON", help="of the reference")
+    parser.add_argument("--policies", type=Path, metavar="DIR", help="where the policies are kept")
+
+
+def measure(arguments: argparse.Namespace, folder: Path) -> Iterator[Figure]:
+    """folder: for what the trainings compile."""
+    seeds = 1 if arguments.quick else arguments.seeds
+    answers = [_trained(0, "cold", folder, arguments)]
+    answers += [_trained(seed, "warm", folder, arguments) for seed in range(seeds if seeds > 1 else 0)]
+    yield from _figures(f"{arguments.body}, {arguments.clip.stem}", answers, arguments)
+
+
+def _trained(seed: int, which: str, folder: Path, arguments: argparse.Namespace) -> Answer | str:
+    """The child's answer, with its seconds from the process's start; or the reason why there is none."""
+    device = "gpu" if arguments.gpu else "cpu"
+    steps = {} if arguments.steps is None else {"num_timesteps": arguments.steps}
+    keep = None
+    if arguments.policies is not None:
+        arguments.policies.mkdir(parents=True, exist_ok=True)
+        keep = str(arguments.policies.absolute() / f"{arguments.body}-{arguments.clip.stem}-{seed}.policy")
+    request = {
+        "body": arguments.body,
+        "options": {"task": "imitate", **arguments.options},
+        "reference": arguments.reference,
+        "clips": str(arguments.clip.absolute()),
+        "settings": {**(_QUICK if arguments.quick else {}), **arguments.settings, **steps},
+        "seed": seed,
+        "device": device,
+        "cache": str(folder),
+        "starts": _QUICK_STARTS if arguments.quick else _STARTS,
+        "keep": keep,
+    }
+    try:
+        answered = run_child(_CHILD, request, timeout_s=_TIMEOUT_S[device])
+    except ChildFailed as failure:
+        print(failure)
+        return failure.reason
+    began = answered["began_at"]
+    answered |= {f"{moment}_s": answered[f"{moment}_at"] - began for moment in ("built", "policy", "tested")}
+    print(f"seed {seed}, {which}: {_told(answered)}", flush=True)
+    return answered
+
+
+def _told(answered: Answer) -> str:
+    """A training and what its policy reached, in lines."""
+    steps, training_s = answered["training"][-1]
+    lines = [
+        f"built after {answered['built_s']:.1f} s, trained after {answered['policy_s']:.1f} s "
+        f"({training_s:.1f} s of training, {steps / 1e6:.2f} M steps, {answered['engine']}), tested after "
+        f"{answered['tested_s']:.1f} s"
+    ]
+    for name, row in {"all": answered["all"], **answered["clips"]}.items():
+        lines.append(
+            f"  {name}: {row['reached']:.1%} of {row['starts']} starts came to the end; "
+            f"root {row['root_error']:.3f} m, {row['root_turn_error']:.3f} rad, "
+            f"joints {row['joint_error']:.3f} rad, bodies {row['body_error']:.3f} m"
+        )
+    return "\n".join(lines)
+
+
+def _figures(what: str, answers: Sequence[Answer | str], arguments: argparse.Namespace) -> Iterator[Figure]:
+    """The first answer is of the run with nothing compiled."""
+    missing = next((one for one in answers if isinstance(one, str)), "")
+    there = [one for one in answers if isinstance(one, dict)]
+    device, is_judged = "gpu" if arguments.gpu else "cpu", not arguments.quick
+    yield middle(
+        f"{what}: share of {_STARTS} starts that come to the end",
+        [one["all"]["reached"] for one in there],
+        at_least=_REACHED if is_judged else None,
+        missing=missing,
+    )
+    yield middle(
+        f"{what}: training",
+        [one["training"][-1][1] for one in there],
+        "s",
+        at_most=_MOST_S[device] if is_judged else None,
+        missing=missing,
+    )
+    yield middle(
+        f"{what}: training",
+        [one["steps"] / one["training"][-1][1] for one in there],
+        "steps/s",
+        missing=missing,
+    )
+    for name, unit in (("root_error", "m"), ("root_turn_error", "rad"), ("joint_error", "rad")):
+        values = [one["all"][name] for one in there]
+        yield middle(f"{what}: {name}, mean over steps", values, unit, missing=missing)
+    for which, chosen in (("cold", answers[:1]), ("warm", answers[1:])):
+        seconds = [one["policy_s"] for one in chosen if isinstance(one, dict)]
+        if seconds:
+            yield middle(f"{what}: from the process's start to the policy, {which}", seconds, "s")
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m bench.imitation", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="only show that the bench works")
+    parser.add_argument("--gpu", action="store_true", help="on the first GPU, not on all cores")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="1: the cold run alone")
+    parser.add_argument("--out", type=Path, default=Path("bench/results"), metavar="DIR")
+    add_arguments(parser)
+    arguments = parser.parse_args()
+    date, machine = datetime.now(UTC).date().isoformat(), this_machine()
+    with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
+        figures = list(measure(arguments, Path(folder)))
+    command = " ".join(["python -m bench.imitation", *sys.argv[1:]])
+    run = Run(command, date, this_commit(), machine, figures)
+    show("imitation", run, Console(width=140))
+    if not arguments.quick:
+        print(f"Kept in {save(arguments.out, 'imitation', run)}.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""How far a policy follows its reference: whole episodes from starts that are spread over all clips."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from core.algorithms.battery.run import on_the_cpu
+from core.algorithms.trained_policy import TrainedPolicy
+from core.environments.environment import TRUNCATED, State
+from core.environments.reference.playback import Playback
+from core.environments.task import TaskEnv
+
+_ERRORS = ("root_error", "root_turn_error", "joint_error", "body_error")
+# Steps between two looks at whether an episode still runs.
+_STEPS_PER_CALL = 50
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Episodes of a clip, or of all. reached: the share of the starts that came to the clip's end. The errors
+    are means over the steps of all episodes, in m and rad: see `FollowedReference`."""
+
+    starts: int
+    reached: float
+    root_error: float
+    root_turn_error: float
+    joint_error: float
+    body_error: float
+
+    def document(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def spread_over(environment: TaskEnv, number: int) -> np.ndarray:
+    """Rows [number] of the reference's frames at equal distances, none of which is a clip's last frame."""
+    frames = _playback(environment).frames
+    can_begin = np.setdiff1d(np.arange(frames.lengths.sum()), frames.starts + frames.lengths - 1)
+    return can_begin[np.linspace(0, len(can_begin) - 1, number).round().astype(int)].astype(np.int32)
+
+
+def followed(
+    environment: TaskEnv, policy: TrainedPolicy, rows: np.ndarray, *, seed: int
+) -> tuple[Followed, dict[str, Followed]]:
+    """The results of one episode from each of these rows: of all, and by the name of each clip.
+
+    environment: of the engine `native`, whose metrics have the term `followed_reference`. policy: one that is
+    deterministic.
+    """
+    frames = _playback(environment).frames
+    with on_the_cpu():
+        begin, advance = _programs(environment, policy)
+        keys = jax.random.split(jax.random.key(seed), len(rows))
+        nothing = {name: jnp.zeros(len(rows)) for name in ("steps", "reached", *_ERRORS)}
+        running = (begin(keys, jnp.asarray(rows)), jnp.ones(len(rows)), nothing)
+        for _ in range(0, int(frames.lengths.max()), _STEPS_PER_CALL):
+            running = advance(policy.parameters, running)
+        totals = {name: np.asarray(values, float) for name, values in running[2].items()}
+    clip = np.searchsorted(frames.starts, rows, side="right") - 1
+    of_clips = {
+        name: _result(totals, clip == number)
+        for number, name in enumerate(frames.names)
+        if (clip == number).any()
+    }
+    return _result(totals, np.ones(len(rows), bool)), of_clips
+
+
+def _programs(environment: TaskEnv, policy: TrainedPolicy) -> tuple[Any, Any]:
+    """Compiled: from keys and rows to states; and from parameters and what runs to that after some steps."""
+    acted, act = policy.acting(environment)
+
+    def begin(key: jax.Array, row: jax.Array) -> State:
+        return policy.acting(environment.at_frame(row)).environment.reset(key)
+
+    def step(parameters: Any, running: Any) -> Any:
+        before, alive, sums = running
+        state = acted.step(before, act(parameters, before, jax.random.key(0)))
+        is_lost = ~jnp.all(jnp.isfinite(state.physics.qpos)) | ~jnp.all(jnp.isfinite(state.physics.qvel))
+        now = {name: state.metrics[name] for name in _ERRORS}
+        now |= {"steps": jnp.ones(()), "reached": state.info[TRUNCATED]}
+        counts = (alive > 0) & ~is_lost
+        added = {name: sums[name] + jnp.where(counts, now[name], 0.0) for name in sums}
+        return state, jnp.where(counts & (state.done == 0), 1.0, 0.0), added
+
+    def advance(parameters: Any, running: Any) -> Any:
+        def one(running: Any, _: None) -> tuple[Any, None]:
+            return jax.vmap(step, (None, 0))(parameters, running), None
+
+        return jax.lax.scan(one, running, length=_STEPS_PER_CALL)[0]
+
+    return jax.jit(jax.vmap(begin)), jax.jit(advance)
+
+
+def _result(totals: dict[str, np.ndarray], chosen: np.ndarray) -> Followed:
+    steps = max(totals["steps"][chosen].sum(), 1.0)
+    errors = {name: float(totals[name][chosen].sum() / steps) for name in _ERRORS}
+    return Followed(int(chosen.sum()), float(totals["reached"][chosen].mean()), **errors)
+
+
+def _playback(environment: TaskEnv) -> Playback:
+    if environment.playback is None:
+        raise ValueError("The task follows no reference.")
+    return environment.playback

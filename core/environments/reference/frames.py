@@ -1,0 +1,136 @@
+"""From clips to frames: every quantity that a step compares, computed once, on the host, by C MuJoCo."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from core.clips import clip as clips
+from core.clips.archive import from_file
+from core.clips.clip import Clip
+from core.clips.options import ClipChoice
+from core.environments.terms.followed import Followed
+from core.environments.terms.reference import Frame
+from core.errors import JobFailed
+from core.patterns import matching
+from core.reasons import Reason
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The frames of all clips, one clip after the other.
+
+    frames: rows [N, …]. names, weights, starts, lengths: of the clips; starts are rows, lengths counted in
+    frames, at least two each.
+    """
+
+    frames: Frame
+    names: Sequence[str]
+    weights: np.ndarray
+    starts: np.ndarray
+    lengths: np.ndarray
+
+
+def frames_of(
+    chosen: Sequence[tuple[Clip, float]], model: mujoco.MjModel, followed: Followed, pose: np.ndarray
+) -> Frames:
+    """The frames of clips, each with its weight, at the rate that they have. pose: positions [nq] of joints
+    that a clip lacks.
+
+    Raises JobFailed("bad_model") where a clip has joints that the model lacks.
+    """
+    parts = [_frames(one, model, followed, pose) for one, _ in chosen]
+    lengths = np.array([len(part.qpos) for part in parts])
+    return Frames(
+        frames=Frame(*(np.concatenate(rows).astype(np.float32) for rows in zip(*parts, strict=True))),
+        names=[one.name for one, _ in chosen],
+        weights=np.array([weight for _, weight in chosen]),
+        starts=np.concatenate([[0], np.cumsum(lengths)[:-1]]),
+        lengths=lengths,
+    )
+
+
+def chosen_clips(
+    choices: Sequence[ClipChoice], files: Mapping[str, Path], rate: float
+) -> Iterator[tuple[Clip, float]]:
+    """The clips of a job as it asks for them, with their weights. files: by the ids of the choices. rate: in
+    frames per second.
+
+    Raises JobFailed("bad_model") where a file is missing or cannot be read, has no such clip, or a clip is
+    over before it begins.
+    """
+    for choice in choices:
+        if (file := files.get(choice.file)) is None:
+            raise _bad(f"The file of the clips {choice.file} is missing.")
+        try:
+            found = from_file(file)
+            for name in _named(choice, [one.name for one in found]):
+                one = next(one for one in found if one.name == name)
+                yield _changed(one, choice, rate), choice.weight
+        except ValueError as error:
+            raise _bad(str(error)) from None
+
+
+def _named(choice: ClipChoice, names: Sequence[str]) -> Sequence[str]:
+    if choice.names is None:
+        return names
+    for pattern in choice.names:
+        if not matching([pattern], names):
+            raise _bad(f"No clip of {choice.file} is called {pattern!r}; there are {', '.join(names[:20])}.")
+    return matching(choice.names, names)
+
+
+def _changed(clip: Clip, choice: ClipChoice, rate: float) -> Clip:
+    clip = clips.cut(clip, choice.from_s, choice.to_s)
+    if choice.mirror:
+        raise _bad("Clips are not mirrored yet.")
+    clip = clips.with_velocities(clip if choice.speed == 1.0 else clips.sped_up(clip, choice.speed))
+    clip = clips.resampled(clip, rate)
+    if clip.num_frames < 2:
+        raise _bad(f"The clip {clip.name!r} lasts less than a control step of {1 / rate:g} s.")
+    return clip
+
+
+def _frames(clip: Clip, model: mujoco.MjModel, followed: Followed, pose: np.ndarray) -> Frame:
+    """The rows of one clip, [T, …]. It has velocities."""
+    qpos, qvel = _states(clip, model, followed, pose)
+    data, rows = mujoco.MjData(model), list[tuple[np.ndarray, ...]]()
+    bodies = followed.bodies
+    for positions, velocities in zip(qpos, qvel, strict=True):
+        data.qpos[:], data.qvel[:] = positions, velocities
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        arm = data.xpos[bodies] - data.subtree_com[followed.tree_roots]
+        turning = data.cvel[bodies, :3]
+        moving = data.cvel[bodies, 3:] + np.cross(turning, arm)
+        rows.append((data.xpos[bodies], data.xquat[bodies], moving, turning.copy()))
+    return Frame(qpos, qvel, *(np.stack(parts) for parts in zip(*rows, strict=True)))
+
+
+def _states(
+    clip: Clip, model: mujoco.MjModel, followed: Followed, pose: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [T, nq] and velocities [T, nv]."""
+    known = {model.joint(number).name: number for number in range(model.njnt)}
+    if lacking := [name for name in clip.joints if name not in known]:
+        names = ", ".join(lacking[:10])
+        raise _bad(f"The clip {clip.name!r} is of another body: the model has no joint {names}.")
+    joints = [known[name] for name in clip.joints]
+    qpos = np.tile(pose, (clip.num_frames, 1))
+    qvel = np.zeros((clip.num_frames, model.nv))
+    start = followed.root
+    [root] = np.flatnonzero(model.jnt_qposadr == start)
+    speeds = model.jnt_dofadr[root]
+    qpos[:, start : start + 3], qpos[:, start + 3 : start + 7] = clip.root_position, clip.root_orientation
+    qvel[:, speeds : speeds + 3] = clip.root_linear_velocity
+    qvel[:, speeds + 3 : speeds + 6] = clip.root_angular_velocity
+    qpos[:, model.jnt_qposadr[joints]] = clip.joint_positions
+    qvel[:, model.jnt_dofadr[joints]] = clip.joint_velocities
+    return qpos, qvel
+
+
+def _bad(detail: str) -> JobFailed:
+    return JobFailed(Reason.BAD_MODEL, detail)
