@@ -235,5 +235,5 @@ def test_a_robot_that_gets_up_lies_on_its_trunk() -> None:
 
 
 def test_the_g1_is_refused_what_it_does_not_learn() -> None:
-    with pytest.raises(ValidationError, match="'walk' or 'rough'"):
+    with pytest.raises(ValidationError, match="'walk', 'rough' or 'imitate'"):
         G1Options.model_validate({"task": "get_up"})
