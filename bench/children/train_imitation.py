@@ -26,6 +26,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from core.algorithms.run import make_run
     from core.algorithms.trained_policy import load_policy
     from core.environments import catalog
+    from core.environments.task import TaskEnv
     from core.jobs.resolved import resolve_job
     from core.jobs.spec import TrainSpec
     from core.physics.choose import engine_builder
@@ -52,6 +53,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
             Path(request["keep"]).write_bytes(content)
         judged = catalog.make(job.info, job.options, engine_builder("native"), clips=clips)
         policy = load_policy(content, "ppo", is_checkpoint=False)
+        assert isinstance(judged, TaskEnv)  # noqa: S101 - it follows a reference
         rows = spread_over(judged, request["starts"])
         whole, by_clip = followed(judged, policy, rows, seed=request["seed"])
         told |= {"all": whole.document(), "clips": {name: one.document() for name, one in by_clip.items()}}
