@@ -89,7 +89,7 @@ class G1Options(JoystickOptions):
 
     of_task: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "rough": rough(_reward_of_g1(0.18, 0.1, TorsoTerms(tilt=0.4, climbing=0.1, turning=3.0)), lowest=0.3),
-        IMITATE: imitate(0.3),
+        IMITATE: imitate(1.0),
     }
 
     task: Literal["walk", "rough", "imitate"] = Field(

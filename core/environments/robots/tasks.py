@@ -104,7 +104,11 @@ def get_up(standing: float, scale: Mapping[str, float]) -> Mapping[str, Any]:
 
 
 def imitate(scale: float) -> Mapping[str, Any]:
-    """Follows a reference. scale: of an action, in rad about the reference's joints."""
+    """Follows a reference. scale: of an action, in rad about the reference's joints.
+
+    Servos give way under load, so targets have to lie well beside the pose: of a G1 that carries its arms
+    before it, 14 % of the starts came to the clip's end under a scale of 0.3, 92 % under 0.5, all under 1.
+    """
     return {
         "command": None,
         "gait": None,
