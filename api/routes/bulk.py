@@ -5,7 +5,7 @@ from time import monotonic
 from typing import Any, Self
 
 from fastapi import APIRouter, Request, Response
-from pydantic import Field, TypeAdapter, model_validator
+from pydantic import ConfigDict, Field, TypeAdapter, model_validator
 
 from api.access import Forbidden, PrincipalDep, actor_of, check_job
 from api.dependencies import Service, ServiceDep
@@ -31,6 +31,8 @@ _LONGEST_S = 20.0
 
 class Chosen(Strict):
     """Jobs by their ids, or those that a filter of `GET /jobs` matches, in its order."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"filter": {"label": ["sweep:3"]}}]})
 
     jobs: list[JobId] | None = Field(default=None, min_length=1, max_length=MOST_AT_ONCE)
     filter: JobFilters | None = Field(default=None, description="As in the address of `GET /jobs`.")
