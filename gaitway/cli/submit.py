@@ -93,6 +93,10 @@ def submit(  # noqa: PLR0913 # A command line's options.
     notify: Annotated[
         list[str] | None, typer.Option(metavar="WEBHOOK", help="Told of this job; repeatable.")
     ] = None,
+    priority: Annotated[
+        str | None,
+        typer.Option(metavar="low|normal|high", help="Comes first; trainings of a lower one make room."),
+    ] = None,
     preemptible: Annotated[
         bool,
         typer.Option("--preemptible", help="Make room for users who have used less of late; go on later."),
@@ -137,6 +141,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
             "name": name,
             "project": project,
             "notify": notify,
+            "priority": priority,
             "preemptible": preemptible or None,
             "algorithm.num_timesteps": num_timesteps,
             **of_video,

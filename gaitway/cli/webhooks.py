@@ -48,11 +48,13 @@ def add(  # noqa: PLR0913 # A command line's options.
 ) -> None:
     """Tell somebody of jobs. The secret that signs the messages is printed once, on stdout."""
     client = client_of(context)
-    made = client.add_webhook(name, url, project=project_of(client, project), events=event, jobs=jobs)
+    whose = project_of(client, project)
+    made = client.add_webhook(name, url, project=whose, events=event, jobs=jobs)
     if as_json:
         print_json(made)
         return
-    complain(f"{name} is told of {', '.join(made.events)}. Try it: gaitway webhooks test {name}")
+    test = f"gaitway webhooks test {name} --project {whose}"
+    complain(f"{name} is told of {', '.join(made.events)}. Try it: {test}")
     if made.secret is not None:
         complain("This secret signs its messages. It is shown this once:")
         print(made.secret)

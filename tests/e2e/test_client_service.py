@@ -195,12 +195,14 @@ def test_the_cli_submits_what_its_options_say(stack: Stack, client: Client) -> N
             "1",
         ),
         *("--name", "first", "--label", "project=vnl", "--camera", "track", "--camera", "0", "--json"),
+        *("--priority", "low", "--preemptible"),
     )
     assert done.exit_code == 0, done.output
     spec = client.get(json.loads(done.stdout)["id"]).spec
     assert spec["algorithm"] == {"kind": "ppo", "num_timesteps": 1_000_000, "learning_rate": 3e-4}
     assert (spec["seed"], spec["name"], spec["labels"]) == (1, "first", {"project": "vnl"})
     assert spec["video"] == {"cameras": ["track", 0]}
+    assert (spec["priority"], spec["preemptible"]) == ("low", True)
 
 
 def test_the_cli_says_what_a_video_shows_or_that_there_is_none(stack: Stack, client: Client) -> None:
