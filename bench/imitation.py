@@ -33,6 +33,9 @@ _QUICK: dict[str, Any] = {
     "num_evals": 0,
     "reset_pool_size": 16,
 }
+# Up to which errors of the root (m) and of the joints (rad) an episode is close; and which share is to be.
+_CLOSE = {"g1": (0.1, 0.15), "humanoid": (0.1, 0.15), "rodent": (0.01, 0.15)}
+_SHARE_CLOSE = {"rodent": 0.9}
 # On a GPU of the class of an H100, and on two cores: s of training.
 _MOST_S = {"gpu": 60.0, "cpu": 3600.0}
 _REACHED = 0.95
@@ -43,7 +46,8 @@ Answer = dict[str, Any]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Those of a measurement of imitation."""
     parser.add_argument("--clip", type=Path, required=True, metavar="FILE", help="of clips, in any format")
-    parser.add_argument("--body", default="g1", metavar="ROBOT", help="of the catalog, by default g1")
+    parser.add_argument("--body", default="g1", choices=list(_CLOSE), help="of the catalog, by default g1")
+    parser.add_argument("--unseen", type=Path, metavar="FILE", help="of clips that are followed besides")
     parser.add_argument("--steps", type=int, metavar="N", help="of a training; by default tuned")
     parser.add_argument("--settings", type=json.loads, default={}, metavar="JSON", help="of PPO")
     parser.add_argument("--options", type=json.loads, default={}, metavar="JSON", help="of the task")
@@ -77,6 +81,8 @@ def _trained(seed: int, which: str, folder: Path, arguments: argparse.Namespace)
         "device": device,
         "cache": str(folder),
         "starts": _QUICK_STARTS if arguments.quick else _STARTS,
+        "close": _CLOSE[arguments.body],
+        "unseen": str(arguments.unseen.absolute()) if arguments.unseen else None,
         "keep": keep,
     }
     try:
@@ -98,9 +104,13 @@ def _told(answered: Answer) -> str:
         f"({training_s:.1f} s of training, {steps / 1e6:.2f} M steps, {answered['engine']}), tested after "
         f"{answered['tested_s']:.1f} s"
     ]
-    for name, row in {"all": answered["all"], **answered["clips"]}.items():
+    rows = {"all": answered["all"], **answered["clips"]}
+    if answered["unseen"]:
+        rows["all unseen"] = answered["unseen"]
+    for name, row in rows.items():
         lines.append(
-            f"  {name}: {row['reached']:.1%} of {row['starts']} starts came to the end; "
+            f"  {name}: {row['reached']:.1%} of {row['starts']} starts reached the end, "
+            f"{row['close']:.1%} close; "
             f"root {row['root_error']:.3f} m, {row['root_turn_error']:.3f} rad, "
             f"joints {row['joint_error']:.3f} rad, bodies {row['body_error']:.3f} m"
         )
@@ -131,6 +141,19 @@ def _figures(what: str, answers: Sequence[Answer | str], arguments: argparse.Nam
         "steps/s",
         missing=missing,
     )
+    root, joints = _CLOSE[arguments.body]
+    yield middle(
+        f"{what}: share of starts within {root:g} m and {joints:g} rad",
+        [one["all"]["close"] for one in there],
+        at_least=_SHARE_CLOSE.get(arguments.body) if is_judged else None,
+        missing=missing,
+    )
+    if arguments.unseen is not None:
+        yield middle(
+            f"{what}: the same, of clips that it has not seen",
+            [one["unseen"]["close"] for one in there],
+            missing=missing,
+        )
     for name, unit in (("root_error", "m"), ("root_turn_error", "rad"), ("joint_error", "rad")):
         values = [one["all"][name] for one in there]
         yield middle(f"{what}: {name}, mean over steps", values, unit, missing=missing)

@@ -2,12 +2,15 @@
 
 Request: body, a robot; options (without `reference`, which is added); reference (without its clips); clips, a
 file in any format that `POST /clips` takes; settings (of PPO; what they leave out is tuned); seed; device
-(`cpu` or `gpu`); cache, a folder for compiled programs; starts; keep, a file for the policy, or null.
+(`cpu` or `gpu`); cache, a folder for compiled programs; starts; close, up to which errors of root (m) and
+joints (rad) an episode is close; unseen, a file of clips that are followed besides, or null; keep, a file for
+the policy, or null.
 """
 
 import hashlib
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +21,8 @@ from core.start_up import start_lean
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """built_at, policy_at, tested_at: the hours when the environment was built, the policy was trained, and
-    its trial was over. training: [[steps, seconds of training until then], …]; steps; engine; all, and by
-    clip: see `Followed`; of C MuJoCo."""
+    its trial was over. training: [[steps, seconds of training until then], …]; steps; engine; all, by clip,
+    and of all unseen clips: see `Followed`; of C MuJoCo."""
     start_lean()  # As a job does.
     from core.algorithms.events import TrainingProgress
     from core.algorithms.following import followed, spread_over
@@ -32,16 +35,29 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from core.physics.choose import engine_builder
 
     with tempfile.TemporaryDirectory() as folder:
-        clips = _canonical(request, Path(folder))
-        [identity] = clips
-        reference = {**request["reference"], "clips": [{"file": identity}]}
-        body = {"id": request["body"], "options": {**request["options"], "reference": reference}}
-        settings = {"kind": "ppo", **request["settings"]}
-        job = resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": settings}))
+        sent = [Path(file) for file in (request["clips"], request["unseen"]) if file is not None]
+        seen, *unseen = identities = [
+            f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}" for file in sent
+        ]
+        files = dict(zip(identities, _canonical(sent, Path(folder)), strict=True))
+
+        def job_on(identity: str) -> Any:
+            reference = {**request["reference"], "clips": [{"file": identity}]}
+            body = {"id": request["body"], "options": {**request["options"], "reference": reference}}
+            settings = {"kind": "ppo", **request["settings"]}
+            return resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": settings}))
+
+        def tried(identity: str) -> tuple[Any, dict[str, Any]]:
+            judged = catalog.make(job.info, job_on(identity).options, engine_builder("native"), clips=files)
+            assert isinstance(judged, TaskEnv)  # noqa: S101 - it follows a reference
+            rows = spread_over(judged, request["starts"])
+            return followed(judged, policy, rows, seed=request["seed"], close=request["close"])
+
+        job = job_on(seen)
         ppo = job.settings_on(request["device"])
         engine = engine_of("auto", job.info, request["device"], ppo.num_parallel_envs)
         keep_compiled(request["cache"], engine)
-        environment = catalog.make(job.info, job.options, engine_builder(engine), clips=clips)
+        environment = catalog.make(job.info, job.options, engine_builder(engine), clips=files)
         told: dict[str, Any] = {"engine": engine, "training": [], "built_at": time.time()}
         run = make_run(environment, ppo, seed=request["seed"], checkpoint_every_steps=None)
         for event in run.events():
@@ -51,23 +67,23 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         told |= {"steps": run.step, "policy_at": time.time()}
         if request["keep"] is not None:
             Path(request["keep"]).write_bytes(content)
-        judged = catalog.make(job.info, job.options, engine_builder("native"), clips=clips)
         policy = load_policy(content, "ppo", is_checkpoint=False)
-        assert isinstance(judged, TaskEnv)  # noqa: S101 - it follows a reference
-        rows = spread_over(judged, request["starts"])
-        whole, by_clip = followed(judged, policy, rows, seed=request["seed"])
+        whole, by_clip = tried(seen)
         told |= {"all": whole.document(), "clips": {name: one.document() for name, one in by_clip.items()}}
-    return {**told, "tested_at": time.time()}
+        told |= {"tested_at": time.time(), "unseen": {}}
+        for identity in unseen:
+            told["unseen"] = tried(identity)[0].document()
+    return told
 
 
-def _canonical(request: dict[str, Any], folder: Path) -> dict[str, Path]:
-    """The file of the request's clips as the service keeps it, by its id."""
+def _canonical(files: list[Path], folder: Path) -> Iterator[Path]:
+    """Files of clips as the service keeps them."""
     from core.clips.archive import to_bytes
 
-    file = Path(request["clips"])
-    kept = folder / "clips.npz"
-    kept.write_bytes(to_bytes(_clips(file)))
-    return {f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}": kept}
+    for number, file in enumerate(files):
+        kept = folder / f"{number}.npz"
+        kept.write_bytes(to_bytes(_clips(file)))
+        yield kept
 
 
 def _clips(file: Path) -> list[Any]:

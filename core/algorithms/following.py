@@ -20,11 +20,13 @@ _STEPS_PER_CALL = 50
 
 @dataclass(frozen=True)
 class Followed:
-    """Episodes of a clip, or of all. reached: the share of the starts that came to the clip's end. The errors
-    are means over the steps of all episodes, in m and rad: see `FollowedReference`."""
+    """Episodes of a clip, or of all. reached: the share of the starts that came to the clip's end; close: of
+    those that did so with small errors, in their episode's mean. The errors are means over the steps of all
+    episodes, in m and rad: see `FollowedReference`."""
 
     starts: int
     reached: float
+    close: float
     root_error: float
     root_turn_error: float
     joint_error: float
@@ -42,9 +44,16 @@ def spread_over(environment: TaskEnv, number: int) -> np.ndarray:
 
 
 def followed(
-    environment: TaskEnv, policy: TrainedPolicy, rows: np.ndarray, *, seed: int
+    environment: TaskEnv,
+    policy: TrainedPolicy,
+    rows: np.ndarray,
+    *,
+    seed: int,
+    close: tuple[float, float] = (0.1, 0.15),
 ) -> tuple[Followed, dict[str, Followed]]:
     """The results of one episode from each of these rows: of all, and by the name of each clip.
+
+    close: up to which errors of the root, in m, and of the joints, in rad, an episode counts as close.
 
     environment: of the engine `native`, whose metrics have the term `followed_reference`. policy: one that is
     deterministic.
@@ -60,11 +69,11 @@ def followed(
         totals = {name: np.asarray(values, float) for name, values in running[2].items()}
     clip = np.searchsorted(frames.starts, rows, side="right") - 1
     of_clips = {
-        name: _result(totals, clip == number)
+        name: _result(totals, clip == number, close)
         for number, name in enumerate(frames.names)
         if (clip == number).any()
     }
-    return _result(totals, np.ones(len(rows), bool)), of_clips
+    return _result(totals, np.ones(len(rows), bool), close), of_clips
 
 
 def _programs(environment: TaskEnv, policy: TrainedPolicy) -> tuple[Any, Any]:
@@ -93,10 +102,14 @@ def _programs(environment: TaskEnv, policy: TrainedPolicy) -> tuple[Any, Any]:
     return jax.jit(jax.vmap(begin)), jax.jit(advance)
 
 
-def _result(totals: dict[str, np.ndarray], chosen: np.ndarray) -> Followed:
-    steps = max(totals["steps"][chosen].sum(), 1.0)
-    errors = {name: float(totals[name][chosen].sum() / steps) for name in _ERRORS}
-    return Followed(int(chosen.sum()), float(totals["reached"][chosen].mean()), **errors)
+def _result(totals: dict[str, np.ndarray], chosen: np.ndarray, close: tuple[float, float]) -> Followed:
+    of_episodes = {name: values[chosen] for name, values in totals.items()}
+    steps, reached = of_episodes["steps"], of_episodes["reached"] > 0
+    errors = {name: float(of_episodes[name].sum() / max(steps.sum(), 1.0)) for name in _ERRORS}
+    is_close = reached.copy()
+    for name, most in zip(("root_error", "joint_error"), close, strict=True):
+        is_close &= of_episodes[name] <= most * steps
+    return Followed(int(chosen.sum()), float(reached.mean()), float(is_close.mean()), **errors)
 
 
 def _playback(environment: TaskEnv) -> Playback:

@@ -1,0 +1,133 @@
+"""Trainings of a body, and what their policies do, as clips.
+
+Request: body, of the catalog; settings (of PPO; what they leave out is tuned); seeds; stages, at which a
+training's policy is kept; clips and unseen: of all seeds but the last, and of the last; seconds of a clip;
+device (`cpu` or `gpu`); cache, a folder for compiled programs; out, a folder for the files.
+"""
+
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from bench.child import answer
+from bench.children.train_ours import engine_of, keep_compiled
+from core.start_up import start_lean
+
+# Episodes of a stage. The body falls in some of them.
+_EPISODES = 32
+# Before a clip begins, so that the body has left the pose in which episodes begin.
+_BEFORE_S = 0.5
+
+
+def work(request: dict[str, Any]) -> dict[str, Any]:
+    """clips: of each the file, its name, its seconds, and its mean speed along the ground in m/s."""
+    start_lean()  # As a job does.
+    from core.clips.archive import to_bytes
+
+    Path(request["cache"]).mkdir(parents=True, exist_ok=True)
+    keep_compiled(request["cache"], "compiled")
+    *seen, unseen = [list(_clips_of(seed, request)) for seed in request["seeds"]]
+    files = {
+        request["body"]: list(islice(_in_turn(seen), request["clips"])),
+        f"{request['body']}-unseen": list(islice(_in_turn([unseen]), request["unseen"])),
+    }
+    rows = list[dict[str, Any]]()
+    for name, clips in files.items():
+        file = Path(request["out"], f"{name}.npz")
+        file.write_bytes(to_bytes(clips))
+        rows += [_row(file.name, clip) for clip in clips]
+    return {"clips": rows}
+
+
+def _in_turn(seeds: list[list[list[Any]]]) -> Iterator[Any]:
+    """One clip of each stage of each seed in turn."""
+    stages = [stage for seed in seeds for stage in seed]
+    most = max((len(stage) for stage in stages), default=0)
+    return (stage[number] for number in range(most) for stage in stages if number < len(stage))
+
+
+def _row(file: str, clip: Any) -> dict[str, Any]:
+    import numpy as np
+
+    way = np.linalg.norm(clip.root_position[-1, :2] - clip.root_position[0, :2])
+    return {
+        "file": file,
+        "name": clip.name,
+        "seconds": clip.duration_s,
+        "speed": float(way) / clip.duration_s,
+    }
+
+
+def _clips_of(seed: int, request: dict[str, Any]) -> Iterator[list[Any]]:
+    """The clips of each stage of a training."""
+    from core.algorithms.events import TrainingProgress
+    from core.algorithms.run import make_run
+    from core.environments import catalog
+    from core.jobs.resolved import resolve_job
+    from core.jobs.spec import TrainSpec
+    from core.physics.choose import engine_builder
+
+    body = {"id": request["body"], "options": {}}
+    settings = {"kind": "ppo", **request["settings"]}
+    job = resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": settings}))
+    ppo = job.settings_on(request["device"])
+    engine = engine_of("auto", job.info, request["device"], ppo.num_parallel_envs)
+    environment = catalog.make(job.info, job.options, engine_builder(engine))
+    run = make_run(environment, ppo, seed=seed, checkpoint_every_steps=None)
+    policies = list[tuple[int, bytes]]()
+    for event in run.events():
+        if isinstance(event, TrainingProgress):
+            due = event.total * (len(policies) + 1) / request["stages"]
+            if event.step >= due or event.step >= event.total:
+                policies.append((event.step, run.policy()))
+    recorded = catalog.make(job.info, job.options, engine_builder("native"))
+    for step, content in policies:
+        name = f"{request['body']}-{seed}-{round(step / 1e3)}k"
+        yield list(_recorded(name, recorded, content, request["seconds"]))
+
+
+def _recorded(name: str, environment: Any, policy: bytes, seconds: float) -> Iterator[Any]:
+    """A clip of each episode in which the body does not fall."""
+    import jax
+    import mujoco
+    import numpy as np
+
+    from core.algorithms.battery.run import on_the_cpu
+    from core.algorithms.trained_policy import load_policy
+    from core.clips.clip import Clip
+
+    with on_the_cpu():
+        trained = load_policy(policy, "ppo", is_checkpoint=False)
+        acted, act = trained.acting(environment)
+        num_steps = round((_BEFORE_S + seconds) / environment.dt)
+
+        def episode(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+            def step(state: Any, _: None) -> tuple[Any, tuple[jax.Array, jax.Array]]:
+                state = acted.step(state, act(trained.parameters, state, key))
+                return state, (state.physics.qpos, state.done)
+
+            _, (positions, ends) = jax.lax.scan(step, acted.reset(key), length=num_steps)
+            return positions, jax.numpy.max(ends)
+
+        positions, fell = jax.jit(jax.vmap(episode))(jax.random.split(jax.random.key(0), _EPISODES))
+    model, begin = environment.model, round(_BEFORE_S / environment.dt)
+    turning = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    joints = [number for number in range(model.njnt) if model.jnt_type[number] in turning]
+    [root] = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    start = model.jnt_qposadr[root]
+    for number in np.flatnonzero(np.asarray(fell) == 0):
+        rows = np.asarray(positions[number][begin:], float)
+        turns = rows[:, start + 3 : start + 7]
+        yield Clip(
+            name=f"{name}-{number}",
+            rate=1.0 / environment.dt,
+            root_position=rows[:, start : start + 3],
+            root_orientation=turns / np.linalg.norm(turns, axis=1, keepdims=True),
+            joints=tuple(model.joint(joint).name for joint in joints),
+            joint_positions=rows[:, model.jnt_qposadr[joints]],
+        )
+
+
+if __name__ == "__main__":
+    answer(work)
