@@ -24,20 +24,20 @@ _SPEC = {
 # Ended jobs, each a second after the one before, whose numbers are shuffled.
 _FILL = """
 INSERT INTO jobs (id, version, kind, environment, name, labels, spec, status, reason, created_at, started_at,
-                  finished_at, num_attempts, owner, project, progress)
+                  finished_at, num_attempts, device, engine, owner, project, progress)
 SELECT lpad(to_hex(1700000000000 + i * 1000::bigint), 12, '0') || '-' || lpad(to_hex(i), 10, '0'), 4, 'train',
        (ARRAY['ant', 'humanoid', 'hopper', 'rodent', 'walker2d'])[1 + i %% 5], 'run ' || i * 7919 %% 10007,
        jsonb_build_object('arm', 'a' || i * 31 %% 97), %(spec)s,
        CASE WHEN i %% 20 = 0 THEN 'failed' ELSE 'succeeded' END, 'completed',
        now() - interval '1 s' * i, now() - interval '1 s' * i, now() + interval '1 s' * (i * 7919 %% 10007),
-       1, 'u' || i %% 7, 'p' || i %% 5,
+       1, 'gpu:' || i * 7919 %% 8, 'native', 'u' || i %% 7, 'p' || i %% 5,
        replace(replace(replace(%(progress)s, '77', (i * 7919 %% 10007)::text), '0.25', (i * 31 %% 97)::text),
                '0.5', (i * 7919 %% 10007 / 8.0)::text)
 FROM generate_series(1, %(jobs)s) AS i
 """
 _FILL_MORE = """
 INSERT INTO attempts (job_id, number, token, worker, device, engine, started_at, ended_at, reason)
-SELECT id, 1, '1-00', 'host:cpu', 'gpu:' || hashtext(id) %% 8, 'native', created_at, finished_at, reason
+SELECT id, 1, '1-00', 'host:cpu', device, engine, created_at, finished_at, reason
 FROM jobs;
 INSERT INTO sweeps (id, version, status, spec, created_at)
 SELECT lpad(to_hex(i), 12, '0') || '-0000000000', 1, 'succeeded', '{}', now()

@@ -205,6 +205,11 @@ class Job(Stored):
         return next((attempt for attempt in reversed(self.attempts) if attempt.device), None)
 
     @property
+    def device(self) -> str | None:
+        """The device of the newest attempt that reported one."""
+        return next((attempt.device for attempt in reversed(self.attempts) if attempt.device), None)
+
+    @property
     def engine(self) -> str | None:
         """The physics engine of the newest attempt that reported one."""
         return next((attempt.engine for attempt in reversed(self.attempts) if attempt.engine), None)

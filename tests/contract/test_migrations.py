@@ -233,6 +233,23 @@ def test_damaged_progress_hinders_no_upgrade_and_no_write(empty: Engine) -> None
         schema.downgrade(empty, "0017")
 
 
+def test_an_upgrade_finds_the_device_and_the_engine_of_the_newest_attempt(empty: Engine) -> None:
+    schema.upgrade(empty)
+    jobs = PostgresJobStore(empty)
+    job = held(jobs, queued_job())
+    for device, engine in (("cpu", "mjx"), ("gpu:0", "native")):
+        jobs.save(job := job.running(device=device, engine=engine))
+        jobs.save(job := job.requeued(Reason.WORKER_LOST, "", NOW))
+        jobs.save(job := job.claimed("host:gpu:0", NOW))
+    known = text("SELECT device, engine FROM jobs")
+    with empty.connect() as connection:
+        assert connection.execute(known).one() == ("gpu:0", "native")
+    schema.downgrade(empty, "0024")
+    schema.upgrade(empty)
+    with empty.connect() as connection:
+        assert connection.execute(known).one() == ("gpu:0", "native")
+
+
 def test_steps_down_and_up_again_keep_the_jobs(empty: Engine) -> None:
     schema.upgrade(empty)
     job = fill(empty)

@@ -113,6 +113,8 @@ CHANGING = (
     "num_attempts",
     "queue",
     "bytes",
+    "device",
+    "engine",
 )
 
 
@@ -130,6 +132,8 @@ def job_values(job: Job) -> Values:
         "num_attempts": len(job.attempts),
         "queue": queue_of(job),
         "bytes": sum(artifact.size for artifact in job.artifacts),
+        "device": job.device,
+        "engine": job.engine,
     }
 
 

@@ -29,7 +29,7 @@ from sqlalchemy import (
 from sqlalchemy import cast as cast_to
 
 from core.adapters.postgres import listing
-from core.adapters.postgres.tables import NOW, attempts, jobs, trials
+from core.adapters.postgres.tables import NOW, jobs, trials
 from core.errors import JobNotFound
 from core.jobs.job import check_job_id
 from core.jobs.sorting import Sort
@@ -117,8 +117,6 @@ def _key(sort: Sort, at: float) -> ColumnElement[Any]:
             return jobs.c[f"progress_{names[sort.column]}"]
         case "attempts":
             return cast_to(jobs.c.num_attempts, Double)
-        case "device" | "engine":
-            return _text(_newest(sort.column))
         case _:
             return _text(jobs.c[sort.column])
 
@@ -129,13 +127,8 @@ def _text(value: ColumnElement[Any]) -> ColumnElement[Any]:
 
 
 def _epoch(moment: ColumnElement[Any]) -> ColumnElement[Any]:
-    return cast_to(func.extract("epoch", moment), Double)
-
-
-def _newest(column: str) -> ColumnElement[Any]:
-    """Of the newest attempt that has one."""
-    known = select(attempts.c[column]).where(attempts.c.job_id == jobs.c.id, attempts.c[column].isnot(None))
-    return known.order_by(attempts.c.number.desc()).limit(1).correlate(jobs).scalar_subquery()
+    # `extract` gives an exact number, which takes longer.
+    return func.date_part("epoch", moment, type_=Double)
 
 
 def _newest_left_out(connection: Connection, query: JobQuery) -> str | None:
@@ -157,8 +150,7 @@ def _sorted(
     if query.sweep == FOLDED:
         among = among.outerjoin(trials, trials.c.job_id == jobs.c.id)
         among = among.add_columns(func.coalesce(trials.c.sweep_id, jobs.c.id).label("whole"))
-    # Otherwise PostgreSQL reads the newest attempt again wherever the column is named.
-    keyed = among.cte("keyed").prefix_with("MATERIALIZED")
+    keyed = among.subquery("keyed")
     is_shown = true()
     if query.sweep == FOLDED:
         # Of each sweep the first in this order.

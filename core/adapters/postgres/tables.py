@@ -135,6 +135,9 @@ jobs = Table(
     Column("alike", Text),
     # Of all its files, so that sums over many jobs read none of them.
     Column("bytes", BigInteger, nullable=False, server_default="0"),
+    # Of its newest attempt that has one: lists are sorted by them.
+    Column("device", Text),
+    Column("engine", Text),
     # Free space in each page: a renewed lease then touches no index.
     postgresql_with={"fillfactor": "80"},
 )
