@@ -31,7 +31,7 @@ class MujocoEnv(ABC):
     """An environment over one MuJoCo model; a subclass defines its start, observation and reward.
 
     reports_rewards: whether each term of the reward is also a metric. aliases: further metrics that repeat a
-    term of the reward, each with the name of that term.
+    term of the reward, each with the name of that term; of a task without it there is none.
     """
 
     episode_length = 1000
@@ -98,7 +98,7 @@ class MujocoEnv(ABC):
         rewards: the weighted terms [] by the names of their metrics; costs are negative. metrics: all others.
         A reset passes its result through `initial`.
         """
-        repeated = {name: rewards[term] for name, term in self.aliases.items()}
+        repeated = {name: rewards[term] for name, term in self.aliases.items() if term in rewards}
         reported = {**rewards, **repeated} if self.reports_rewards else {}
         return State(
             physics, obs, reduce(operator.add, rewards.values()), done, {**reported, **metrics}, info

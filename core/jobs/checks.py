@@ -8,11 +8,11 @@ from core.algorithms.catalog import reported
 from core.algorithms.spec import BaseSpec, check_resumption
 from core.bounds import LARGEST_JOB_BYTES, MOST_PROBLEMS, json_bytes
 from core.environments.info import Device, EnvironmentInfo
-from core.environments.mjcf.unmatched import unmatched
 from core.environments.randomization import FIELDS
 from core.environments.terms.randomized import Randomized
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.terrain import BOX, MOST_BOXES
+from core.environments.terms.unmatched import unmatched
 from core.errors import Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.resolved import ResolvedJob, resolve_job

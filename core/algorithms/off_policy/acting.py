@@ -19,17 +19,20 @@ from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.spec import OffPolicySpec
 from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes, fresh_pool, start_episodes
+from core.environments.wrappers.clip_parts import counted, first_record, under_record
 from core.environments.wrappers.curriculum import at_progress, progress_at
 from core.environments.wrappers.vectorized import VectorEnv
 
 
 class Experience(NamedTuple):
-    """The experience of a run: statistics of all observations, the transitions that are kept, and where each
-    environment is in its episode."""
+    """The experience of a run: statistics of all observations, the transitions that are kept, where each
+    environment is in its episode, and how often steps failed in each part of a reference's clips; None of a
+    task whose starts do not follow from that."""
 
     normalizer: RunningStatisticsState
     replay: replays.Replay
     episodes: Episodes
+    record: jax.Array | None = None
 
 
 class Acted(NamedTuple):
@@ -52,6 +55,7 @@ def first_experience(
         episodes=start_episodes(
             VectorEnv(starting), key, settings.num_envs, keep_first=settings.returns_to_first_state
         ),
+        record=first_record(environment),
     )
 
 
@@ -66,7 +70,7 @@ def act(
     """Act `unroll_length` times in each environment. policy: its extras hold, as `action`, what is kept.
     keys: for acting, and for fresh starts. at: the progress of the curriculum, if there is one."""
     act_key, starts_key = keys
-    starting = VectorEnv(at_progress(environment, at))
+    starting = VectorEnv(under_record(at_progress(environment, at), before.record))
     episodes, (transitions, outcome) = collect(
         VectorEnv(environment),
         policy,
@@ -82,7 +86,8 @@ def act(
     # Counted for one environment: those of all pass 2**31 in a long run.
     enough = replay.written >= -(-settings.min_replay_size // settings.num_envs)
     enough &= replay.written > settings.n_step
-    return Experience(normalizer, replay, episodes), Acted(transitions, outcome, enough)
+    record = counted(environment, before.record, outcome.parts, outcome.fell)
+    return Experience(normalizer, replay, episodes, record), Acted(transitions, outcome, enough)
 
 
 def progress(environment: Environment, settings: OffPolicySpec, num_updates: jax.Array) -> jax.Array | None:

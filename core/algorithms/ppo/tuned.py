@@ -20,8 +20,10 @@ from core.environments.brittle_star.options import (
     UndirectedOptions,
 )
 from core.environments.dm_control.corridor.info import CorridorOptions
+from core.environments.dm_control.rodent.info import RodentOptions
 from core.environments.external.brax.info import SAME_TASK
 from core.environments.info import CRITIC_GROUP, Device, EnvironmentInfo
+from core.environments.locomotion.humanoid import HumanoidOptions
 from core.environments.robots.info import G1Options, Go1Options
 from core.environments.terms.task import TaskOptions
 
@@ -372,6 +374,16 @@ def go1(options: Go1Options) -> Mapping[Device, PPOSpec]:
             return {device: settings.model_copy(update=_GET_UP) for device, settings in values.items()}
 
 
+def rodent(options: RodentOptions) -> Mapping[Device, PPOSpec]:
+    """The values for the rat's tasks."""
+    return imitating(50_000_000, 10_000_000) if options.task == "imitate" else RODENT
+
+
+def humanoid(options: HumanoidOptions) -> Mapping[Device, PPOSpec]:
+    """The values for the humanoid's tasks."""
+    return imitating(50_000_000, 10_000_000) if options.task == "imitate" else HUMANOID
+
+
 def own_model(options: TaskOptions) -> Mapping[Device, PPOSpec]:
     """The values for a user's own model or a package's: a robot's where servos' targets follow a command."""
     if options.reference is not None and options.action.kind == "joint_position":
@@ -444,7 +456,9 @@ TUNED_BY_OPTIONS: dict[str, Callable[[Any], Mapping[Device, PPOSpec]]] = {
     "corridor": corridor,
     "g1": g1,
     "go1": go1,
+    "humanoid": humanoid,
     "mjcf": own_model,
+    "rodent": rodent,
 }
 
 

@@ -102,7 +102,7 @@ class TrainingState:
     """Everything that a run's future depends on, besides its settings.
 
     target_q: the critics that follow. key: the next update's random key. eval_key: the random key of every
-    evaluation, never changed. num_updates: [] int32, updates made so far.
+    evaluation, never changed. num_updates: [] int32, updates made so far. record: see `Experience`.
     """
 
     params: Params
@@ -114,6 +114,7 @@ class TrainingState:
     key: jax.Array
     eval_key: jax.Array
     num_updates: jax.Array
+    record: jax.Array | None = None
 
 
 # Parameters, the critics that follow, the optimiser.
@@ -143,6 +144,7 @@ class Learner:
             key=key,
             eval_key=eval_key,
             num_updates=jnp.int32(0),
+            record=seen.record,
         )
 
     def update(
@@ -151,7 +153,7 @@ class Learner:
         """Act `unroll_length` times in each environment, and then learn from samples of all that is kept."""
         act_key, learn_key, next_key, starts_key = jax.random.split(state.key, 4)
         policy = self.networks.acting(state.params.policy, self.normalize(state.normalizer))
-        before = Experience(state.normalizer, state.replay, state.episodes)
+        before = Experience(state.normalizer, state.replay, state.episodes, state.record)
         at = progress(self.environment, self.settings, state.num_updates)
         seen, acted = act(self.environment, self.settings, policy, before, (act_key, starts_key), at)
         learn = partial(self._learn, seen.replay, self.normalize(seen.normalizer), hyperparameters, learn_key)
@@ -170,6 +172,7 @@ class Learner:
             key=next_key,
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
+            record=seen.record,
         )
         of_losses = [~jnp.isfinite(metrics[name]) for name in _LOSSES]
         failed = find_failure(

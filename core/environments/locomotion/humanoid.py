@@ -1,12 +1,23 @@
 """A humanoid that learns to walk. Source: Tassa et al., 2012; rewards as in brax.envs.humanoid."""
 
-from pydantic import Field
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
 
 from core.documents import Strict
 from core.environments.options import NoiseScale, Range, Weight
+from core.environments.terms.imitating import (
+    IMITATE,
+    IS_UNREAD,
+    NEEDS_CLIPS,
+    OBSERVATION,
+    ends,
+    imitating_reward,
+)
 from core.environments.terms.metrics import Travel
 from core.environments.terms.observations import ActuatorForces, BodyInertias, Qpos, Qvel, ShareVelocities
 from core.environments.terms.page import noisy, page, survival
+from core.environments.terms.reference import Reference
 from core.environments.terms.rewards import ControlCost, ForwardVelocity
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.terminations import OutsideHeightRange
@@ -16,6 +27,10 @@ from core.physics.availability import Rule
 class HumanoidOptions(Strict):
     """Brax's options for the humanoid, under Brax's names and with its defaults."""
 
+    task: Literal["walk", "imitate"] = Field(
+        "walk", description="imitate: follows the clips of `reference`, by terms of its own (docs/tasks.md)."
+    )
+    reference: Reference | None = Field(None, description="What it imitates; null: nothing.")
     forward_reward_weight: Weight = Field(1.25, description="Reward for each metre per second in +x.")
     ctrl_cost_weight: Weight = Field(0.1, description="Cost of the control: this times its squared norm.")
     healthy_reward: Weight = Field(5.0, description="Reward for each step.")
@@ -24,8 +39,29 @@ class HumanoidOptions(Strict):
     reset_noise_scale: NoiseScale = Field(1e-2, description="Noise on the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
 
+    @model_validator(mode="after")
+    def _has_clips(self) -> Self:
+        if (self.task == IMITATE) != (self.reference is not None):
+            raise ValueError(NEEDS_CLIPS if self.reference is None else IS_UNREAD)
+        return self
+
 
 def _task(options: HumanoidOptions) -> TaskOptions:
+    return _imitating(options) if options.task == IMITATE else _walking(options)
+
+
+def _imitating(options: HumanoidOptions) -> TaskOptions:
+    return TaskOptions(
+        reference=options.reference,
+        reward=imitating_reward(),
+        observation=OBSERVATION,
+        termination=[ends()],
+        reset=noisy(options.reset_noise_scale),
+        n_frames=5,
+    )
+
+
+def _walking(options: HumanoidOptions) -> TaskOptions:
     alive, ends = survival(options, "alive", [OutsideHeightRange(range=options.healthy_z_range)])
     hides = options.exclude_current_positions_from_observation
     return TaskOptions(
@@ -56,6 +92,7 @@ HUMANOID = page(
     description="A body with two legs, two arms and 17 motors, rewarded for walking in +x and staying up.",
     # Brax reports the term under both names.
     reports={"aliases": {"forward_reward": "reward_linvel"}},
+    free_in_rollouts=("reference",),
     on_a_cpu=(
         Rule("compiled", 1, "Measured on two cores: physics 17 × that of native; 2.1 × for one environment."),
     ),

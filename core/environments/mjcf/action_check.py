@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 
-from core.environments.mjcf.unmatched import unmatched, unmatched_by
 from core.environments.terms.actions import JointAction, JointPart, MixedAction, PositionPart
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.locomotion import JointPositions
 from core.environments.terms.task import TaskOptions, observed
+from core.environments.terms.unmatched import unmatched, unmatched_by
 from core.errors import Problem
 
 _JOINT = "hinge or slide"

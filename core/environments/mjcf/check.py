@@ -8,9 +8,9 @@ from itertools import islice
 from core.bounds import MOST_OBSERVED, MOST_PROBLEMS
 from core.documents import Strict
 from core.environments.info import Slice
-from core.environments.mjcf import action_check, reference_check
-from core.environments.mjcf.unmatched import instead_of, no_keyframe, unmatched, unmatched_by
+from core.environments.mjcf import action_check
 from core.environments.randomization import FIELDS
+from core.environments.terms import reference_check
 from core.environments.terms.actions import JointPart
 from core.environments.terms.commands import AnyCommand, PositionCommand, VelocityCommand
 from core.environments.terms.imitation import TrackJoints, TrackJointVelocities
@@ -29,6 +29,7 @@ from core.environments.terms.task import (
 )
 from core.environments.terms.term import Need, OfBodyContact, Term, whole_steps
 from core.environments.terms.terminations import OutsideJointRange, Touching
+from core.environments.terms.unmatched import instead_of, no_keyframe, unmatched, unmatched_by
 from core.errors import Problem
 
 _OPTIONS = "/environment/options"
@@ -122,8 +123,7 @@ def _of_options(options: TaskOptions, parts: _Parts) -> Iterator[Problem]:
     yield from _of_needs(options, parts)
     yield from _of_patterns(options, parts)
     yield from action_check.problems(options, model, f"{_OPTIONS}/action")
-    is_free = (options.root or model.root) in parts.free
-    yield from reference_check.problems(options, model, f"{_OPTIONS}/reference", is_free=is_free)
+    yield from reference_check.problems(options, model)
     yield from _of_delays(options, model)
     yield from _of_reset(options.reset, model)
     if options.terrain is not None:

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 
 from core.environments.mjcf.edit_options import HOME, ModelEdits, Pose, Servo, free_name
-from core.environments.mjcf.unmatched import no_keyframe, unmatched, unmatched_by
 from core.environments.terms.inventory import Actuator, Inventory, Joint
+from core.environments.terms.unmatched import no_keyframe, unmatched, unmatched_by
 from core.errors import Problem
 from core.patterns import matching
 

@@ -14,6 +14,7 @@ from core.environments.robots.robot import Robot
 from core.environments.robots.tasks import get_up, imitate, rough
 from core.environments.terms.actions import AnyAction, JointPositionAction
 from core.environments.terms.commands import AnyCommand, GaitClock, VelocityCommand
+from core.environments.terms.imitating import IMITATE, NEEDS_CLIPS
 from core.environments.terms.inventory import inventory_of
 from core.environments.terms.locomotion import Posture
 from core.environments.terms.page import page
@@ -36,7 +37,6 @@ from core.physics.availability import Rule
 ROBOTS = {robot.name: robot for robot in (G1, GO1)}
 
 _SIDEWAYS, _LEGS = ".*_(hip_yaw|hip_roll)_joint", ".*_(hip|knee|ankle)_.*"
-IMITATE = "imitate"
 _LIMITS = [JointLimits(weight=2.0, share=0.9)]
 _TASK = (
     "What the robot is to do, and so what the options are that a job leaves out. walk: by command, on the "
@@ -72,10 +72,7 @@ class JoystickOptions(TaskOptions):
     @model_validator(mode="after")
     def _has_clips(self) -> Self:
         if getattr(self, "task", None) == IMITATE and self.reference is None:
-            raise ValueError(
-                "The task imitate needs `reference`, with the clips to follow: "
-                '{"clips": [{"file": "sha256:…"}]} takes those of a file that `POST /clips` took'
-            )
+            raise ValueError(NEEDS_CLIPS)
         return self
 
 
@@ -151,7 +148,7 @@ def robot_page(robot: Robot, options: type[TaskOptions], description: str, **fac
         description=description,
         check=lambda task: problems(task, inventory_of(robot.name)),
         package=robot.package,
-        free_in_rollouts=("terrain",),
+        free_in_rollouts=("reference", "terrain"),
         curriculum_option="terrain/curriculum",
         vary=varied,
         on_a_cpu=(Rule("compiled", 1, "The robot's code is compiled for it alone."),),

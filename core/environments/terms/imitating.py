@@ -1,7 +1,5 @@
 """What bodies that imitate see and earn: those of the catalog, and users' own to begin with."""
 
-from collections.abc import Sequence
-
 from core.environments.terms.imitation import (
     ReferenceAhead,
     TrackBodyOrientations,
@@ -22,7 +20,9 @@ from core.environments.terms.locomotion import (
 )
 from core.environments.terms.observations import PreviousAction
 from core.environments.terms.rewards import ActionRate
+from core.environments.terms.terminations import FarFromReference
 from core.environments.terms.vocabulary import AnyObservation, AnyReward
+from core.patterns import Patterns
 
 OBSERVATION: list[AnyObservation] = [
     ReferenceAhead(),
@@ -35,18 +35,32 @@ OBSERVATION: list[AnyObservation] = [
 ]
 
 
-def imitating_reward(size: float = 1.0, of_joints: Sequence[AnyReward] = ()) -> list[AnyReward]:
-    """The reward's terms. size: what lengths are like beside those of a human, to which tolerances in m
-    belong. of_joints: further terms."""
+IMITATE = "imitate"
+NEEDS_CLIPS = (
+    "The task imitate needs `reference`, with the clips to follow: "
+    '{"clips": [{"file": "sha256:…"}]} takes those of a file that `POST /clips` took'
+)
+
+IS_UNREAD = '`reference` is followed by the task imitate alone: give `task`: "imitate", or leave it out'
+
+
+def ends(size: float = 1.0) -> FarFromReference:
+    """Where the reference is lost. size: of the body, beside a human."""
+    return FarFromReference(
+        root_position=0.5 * size, anchor_height=0.25 * size, end_effector_height=0.25 * size
+    )
+
+
+def imitating_reward(size: float = 1.0, joints: Patterns | None = None) -> list[AnyReward]:
+    """The reward's terms. size: of the body, beside a human. joints: those that are compared; None: all."""
     return [
         TrackRootPosition(weight=1.0, tolerance=0.3 * size),
         TrackRootOrientation(weight=0.5),
-        TrackJoints(weight=1.0),
-        TrackJointVelocities(weight=0.5),
+        TrackJoints(weight=1.0, joints=joints),
+        TrackJointVelocities(weight=0.5, joints=joints),
         TrackBodyPositions(weight=1.0, tolerance=0.3 * size),
         TrackBodyOrientations(weight=0.5),
         TrackBodyVelocities(weight=0.5, tolerance=size),
         TrackEndEffectors(weight=0.5, tolerance=0.1 * size),
         ActionRate(weight=0.02),
-        *of_joints,
     ]

@@ -1,15 +1,17 @@
 """A body of the catalog as a page: its model, its options, the task of terms that they make, and its row."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any, Literal, Protocol
 
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
+from core.environments.terms import reference_check
 from core.environments.terms.inventory import Inventory, inventory_of, names_by_kind, parts_by_kind
 from core.environments.terms.rewards import Alive, Healthy
-from core.environments.terms.task import Reset, TaskOptions, control_step_s, task_slices
+from core.environments.terms.task import Reset, TaskOptions, control_step_s, curriculum, task_slices
 from core.environments.terms.terminations import AnyTermination
+from core.errors import Problem
 
 
 def page(  # noqa: PLR0913 # A row's fields.
@@ -31,6 +33,9 @@ def page(  # noqa: PLR0913 # A row's fields.
     """
     parts, default = _parts(id, model, options), task(options())
 
+    def check(chosen: Any) -> Sequence[Problem]:
+        return list(reference_check.problems(task(chosen), parts))
+
     def dt(chosen: TaskOptions) -> float:
         return round(control_step_s(chosen, parts), 9)
 
@@ -48,8 +53,12 @@ def page(  # noqa: PLR0913 # A row's fields.
         parts=parts_by_kind(parts),
         names=names_by_kind(parts),
         arguments={"body": id, "model": model, "task": task, **(reports or {})},
-        vary=lambda chosen: {"dt": dt(task(chosen)), **(vary(chosen) if vary else {})},
-        **facts,
+        vary=lambda chosen: {
+            "dt": dt(task(chosen)),
+            **curriculum(task(chosen)),
+            **(vary(chosen) if vary else {}),
+        },
+        **{"check": check, **facts},
     )
 
 

@@ -29,7 +29,7 @@ from core.environments.terms.metrics import (
 )
 from core.environments.terms.observations import ObservationTerm, Qpos, Qvel, Sensors
 from core.environments.terms.readings import Reading
-from core.environments.terms.reference import Reference, compared_bodies
+from core.environments.terms.reference import Adaptive, Reference, compared_bodies
 from core.environments.terms.starts import Fallen, PoseRange, VelocityRange
 from core.environments.terms.term import Memory, Name, Term
 from core.environments.terms.terminations import AnyTermination
@@ -247,9 +247,16 @@ def varied(options: TaskOptions) -> Mapping[str, Any]:
     """What these options change of the catalog's row."""
     return {
         "observations": (POLICY_GROUP, *([CRITIC_GROUP] if options.critic else [])),
-        "has_curriculum": options.terrain is not None and options.terrain.has_curriculum,
         "cannot_run": options.cannot_run,
+        **curriculum(options),
     }
+
+
+def curriculum(options: TaskOptions) -> Mapping[str, Any]:
+    """Whether fresh starts change while a run trains, and by which option."""
+    if options.reference is not None and isinstance(options.reference.sampling, Adaptive):
+        return {"has_curriculum": True, "curriculum_option": "reference/sampling"}
+    return {"has_curriculum": options.terrain is not None and options.terrain.has_curriculum}
 
 
 def _ends(options: TaskOptions, actuator: Actuator | None) -> tuple[float | None, float | None]:

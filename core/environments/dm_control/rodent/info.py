@@ -1,7 +1,7 @@
 """A rat that learns to run. Source: Merel et al., 2020, for the body; rewards as in the tutorial notebook."""
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -15,20 +15,50 @@ from core.environments.options import (
     lacks_solver,
 )
 from core.environments.terms.actions import ControlAction
+from core.environments.terms.imitating import (
+    IMITATE,
+    IS_UNREAD,
+    NEEDS_CLIPS,
+    OBSERVATION,
+    ends,
+    imitating_reward,
+)
 from core.environments.terms.metrics import Travel
-from core.environments.terms.observations import ActuatorForces, Cinert, Cvel, Qpos, Qvel
+from core.environments.terms.observations import Activation, ActuatorForces, Cinert, Cvel, Qpos, Qvel
 from core.environments.terms.page import noisy, page, survival
+from core.environments.terms.reference import Reference
 from core.environments.terms.rewards import ControlCost, ForwardVelocity
-from core.environments.terms.task import TaskOptions
+from core.environments.terms.task import Reset, TaskOptions
 from core.environments.terms.terminations import OutsideHeightRange
+from core.patterns import PATTERNS, Patterns
 from core.physics.availability import Rule
 
 STANDING_HEIGHT_M = 0.047
 
 
+# Without the tail, which the recordings of rats lack.
+_BODIES = ["torso", "pelvis", "skull", ".*_(leg|arm)_.*", "(foot|scapula|hand)_.*"]
+_JOINTS = ["vertebra_([1-6]|cervical|axis|atlant).*", "(hip|knee|ankle|toe|scapula|shoulder|elbow|wrist).*"]
+# Beside a human.
+_SIZE = 0.15
+
+
+class RatReference(Reference):
+    """What the rat follows; by default its tail, jaw and digits are not compared."""
+
+    bodies: Patterns | None = Field(default=_BODIES, description=f"The bodies that are compared. {PATTERNS}")
+    end_effectors: Patterns | None = Field(
+        default=["skull", "(foot|hand)_.*"], description=f"Such as feet; of the compared bodies. {PATTERNS}"
+    )
+
+
 class RodentOptions(RunnerOptions):
     """The options of the rodent, its reward and its physics."""
 
+    task: Literal["run", "imitate"] = Field(
+        "run", description="imitate: follows the clips of `reference`, by terms of its own (docs/tasks.md)."
+    )
+    reference: RatReference | None = Field(None, description="What it imitates; null: nothing.")
     terminate_when_unhealthy: bool = Field(
         True, description="false: an unhealthy step only loses the healthy reward."
     )
@@ -43,6 +73,12 @@ class RodentOptions(RunnerOptions):
     ls_iterations: SolverIterations = Field(None, ge=4, le=100, description=LINE_SEARCH_ITERATIONS)
 
     @model_validator(mode="after")
+    def _has_clips(self) -> Self:
+        if (self.task == IMITATE) != (self.reference is not None):
+            raise ValueError(NEEDS_CLIPS if self.reference is None else IS_UNREAD)
+        return self
+
+    @model_validator(mode="after")
     def _stands(self) -> Self:
         terminates = self.terminate_when_unhealthy
         check_survives_its_start(STANDING_HEIGHT_M, self.healthy_z_range, terminates=terminates)
@@ -55,6 +91,23 @@ def _under(options: RodentOptions) -> Mapping[str, Any]:
 
 
 def _task(options: RodentOptions) -> TaskOptions:
+    return _imitating(options) if options.task == IMITATE else _running(options)
+
+
+def _imitating(options: RodentOptions) -> TaskOptions:
+    return TaskOptions(
+        reference=options.reference,
+        reward=imitating_reward(_SIZE, _JOINTS),
+        observation=[*OBSERVATION, Activation()],
+        termination=[ends(_SIZE)],
+        action=ControlAction(scaled=False),
+        reset=Reset(position_noise=0.002, velocity_noise=0.01),
+        n_frames=options.n_frames,
+        timestep=options.timestep,
+    )
+
+
+def _running(options: RodentOptions) -> TaskOptions:
     alive, ends = survival(options, "alive", [OutsideHeightRange(range=options.healthy_z_range)])
     hides, noise = options.exclude_current_positions_from_observation, options.reset_noise_scale
     return TaskOptions(
@@ -90,6 +143,7 @@ INFO = page(
     reports={"aliases": {"forward_reward": "reward_linvel"}},
     package="dm_control",
     vary=_under,
+    free_in_rollouts=("reference",),
     on_a_cpu=(Rule("compiled", 16, "Measured on two cores: 6.3 k training steps/s, 1.8 k by native."),),
     on_a_gpu=(
         Rule("compiled", 1, "Measured on an H200: 230 k control steps/s of physics, 136 k by warp."),

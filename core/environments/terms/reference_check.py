@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator
 
-from core.environments.mjcf.unmatched import instead_of, unmatched
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.reference import Reference, compared_bodies
 from core.environments.terms.task import TaskOptions
+from core.environments.terms.unmatched import instead_of, unmatched
 from core.errors import Problem
 
 _FREE = "A reference moves the root freely, and the body {root!r} has no free joint: name another `root`."
@@ -15,22 +15,27 @@ _UNREAD = (
 )
 
 
-def problems(options: TaskOptions, model: Inventory, here: str, *, is_free: bool) -> Iterator[Problem]:
-    """here: the reference's pointer. is_free: whether the root has a free joint."""
+_OPTIONS = "/environment/options"
+
+
+def problems(options: TaskOptions, model: Inventory) -> Iterator[Problem]:
+    """What is wrong with the reference, if there is one."""
+    here = f"{_OPTIONS}/reference"
     if (reference := options.reference) is None:
         return
-    if not is_free:
-        yield Problem(here, _FREE.format(root=options.root or model.root))
+    root = options.root or model.root
+    if not any(joint.type == "free" and joint.body == root for joint in model.joints):
+        yield Problem(here, _FREE.format(root=root))
     yield from _of_bodies(reference, model, here)
     if not any("reference" in term.needed for term in options.reward or ()):
         yield Problem(here, _UNREAD)
     if options.terrain is not None:
         detail = "Clips are followed on the model's own ground: leave `terrain` or `reference` out."
-        yield Problem(here.replace("/reference", "/terrain"), detail)
+        yield Problem(f"{_OPTIONS}/terrain", detail)
     for part in ("fallen", "joints"):
         if getattr(options.reset, part) is not None:
             detail = f"An episode begins where the clip is: leave `reset.{part}` out, or the reference."
-            yield Problem(here.replace("/reference", f"/reset/{part}"), detail)
+            yield Problem(f"{_OPTIONS}/reset/{part}", detail)
 
 
 def _of_bodies(reference: Reference, model: Inventory, here: str) -> Iterator[Problem]:
