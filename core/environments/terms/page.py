@@ -58,7 +58,8 @@ def page(  # noqa: PLR0913 # A row's fields.
             **curriculum(task(chosen)),
             **(vary(chosen) if vary else {}),
         },
-        **{"check": check, **facts},
+        check=facts.pop("check", check),
+        **facts,
     )
 
 
