@@ -13,6 +13,7 @@ from core.environments.robots.model import spec
 from core.environments.task_model import compiled
 from core.environments.terms.describe import inventory
 from core.environments.terms.inventory import TABLE, Inventory
+from core.environments.terms.task import TaskOptions
 from core.physics.model import brax_model
 
 
@@ -25,7 +26,9 @@ def pages() -> dict[str, Any]:
     """Those of bodies that are pages, and the reacher's."""
     rows = [info for info in BUILT_IN.values() if "model" in info.arguments]
     models = {info.id: parts_of(info.id, info.arguments["model"], info.options()) for info in rows}
-    found = {info.id: _as_json(models[info.id], names_geoms=info.check is not None) for info in rows}
+    found = {
+        info.id: _as_json(models[info.id], names_geoms=issubclass(info.options, TaskOptions)) for info in rows
+    }
     return {**found, "reacher": _as_json(inventory(brax_model("reacher")))}
 
 
