@@ -8,14 +8,12 @@ from core.environments.terms.task import TaskOptions
 from core.environments.terms.unmatched import instead_of, unmatched
 from core.errors import Problem
 
+_OPTIONS = "/environment/options"
 _FREE = "A reference moves the root freely, and the body {root!r} has no free joint: name another `root`."
 _UNREAD = (
     "No term of the reward reads the reference, so nothing would follow it: add `track_joints`, "
     "`track_root_position`, or others that begin with `track_` and need a reference."
 )
-
-
-_OPTIONS = "/environment/options"
 
 
 def problems(options: TaskOptions, model: Inventory) -> Iterator[Problem]:

@@ -48,7 +48,7 @@ class RatReference(Reference):
 
     bodies: Patterns | None = Field(default=_BODIES, description=f"The bodies that are compared. {PATTERNS}")
     end_effectors: Patterns | None = Field(
-        default=["skull", "(foot|hand)_.*"], description=f"Such as feet; of the compared bodies. {PATTERNS}"
+        default=["skull", "(foot|hand)_.*"], description=f"Such as feet. {PATTERNS}"
     )
 
 
