@@ -1,5 +1,5 @@
 """The service: submissions, what accounts add, lists among a million jobs, the table of ten thousand, claims
-by 64 workers, load with feeds, the page, the largest requests.
+by 64 workers, what teams do, load with feeds, the page, the largest requests.
 
 The embedded stack's servers, the requests and the measuring share the machine.
 """
@@ -9,7 +9,7 @@ from importlib import import_module
 
 from bench.summary import Figure
 
-PARTS = ("submissions", "accounts", "lists", "sorting", "claims", "load", "page", "largest")
+PARTS = ("submissions", "accounts", "lists", "sorting", "claims", "teams", "load", "page", "largest")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -56,7 +56,8 @@ def measure(arguments: argparse.Namespace) -> Iterator[Figure]:
         running_parts() as parts,
         httpx.Client(base_url=parts.url, timeout=30, trust_env=False) as http,
     ):
-        _fill(parts.environment["GAITWAY_DATABASE_URL"], count)
+        with psycopg.connect(parts.environment["GAITWAY_DATABASE_URL"], autocommit=True) as connection:
+            fill(connection, count)
         for what, sweep in (("", ""), (" and folded sweeps", "folded")):
             found = {column: _ms(http, column, sweep, rounds) for column in (*COLUMNS, "label:arm")}
             worst = max(found, key=lambda column: percentile(found[column], 99))
@@ -72,13 +73,13 @@ def measure(arguments: argparse.Namespace) -> Iterator[Figure]:
         )
 
 
-def _fill(url: str, count: int) -> None:
-    with psycopg.connect(url, autocommit=True) as connection:
-        texts = {"spec": json.dumps(_SPEC), "progress": json.dumps(_PROGRESS)}
-        connection.execute(_FILL, {**texts, "jobs": count})
-        for statement in _FILL_MORE.strip().split(";\n"):
-            connection.execute(statement.rstrip(";").encode(), {"trials": _TRIALS})
-        connection.execute("VACUUM ANALYZE")
+def fill(connection: psycopg.Connection, count: int) -> None:
+    """Add so many ended jobs, of which every second is a trial."""
+    texts = {"spec": json.dumps(_SPEC), "progress": json.dumps(_PROGRESS)}
+    connection.execute(_FILL, {**texts, "jobs": count})
+    for statement in _FILL_MORE.strip().split(";\n"):
+        connection.execute(statement.rstrip(";").encode(), {"trials": _TRIALS})
+    connection.execute("VACUUM ANALYZE")
 
 
 def _ms(http: httpx.Client, column: str, sweep: str, rounds: int) -> list[float]:
