@@ -1,0 +1,251 @@
+"""A file of clips in any known format, told by its content, as clips of a body."""
+
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from core.clips import archive
+from core.clips.check import check, numeric_problems
+from core.clips.clip import Clip, arrays, with_velocities
+from core.clips.formats import hdf5, lafan, mjlab, mocap, stac, trajectories
+from core.clips.formats.recording import LONGEST_NAME, MOST_NUMBERS, Recording, at_the_origin
+from core.clips.kinematics import poses, qpos
+from core.clips.quaternions import Array
+from core.clips.skeleton import Skeleton, aligned, skeleton_of
+from core.errors import BadClips
+
+MOST_CLIPS = 10_000
+_NPZ_MAGIC = b"PK\x03\x04"
+_LARGEST_NPZ_BYTES = 8 * MOST_NUMBERS
+_MOST_PROBLEMS = 5
+_FORMATS = (
+    "NPZ of mjlab or BeyondMimic (`joint_pos`), of our trajectories or of our clips; HDF5 of stac-mjx "
+    "(`qpos`), track-mjx (`position`, `quaternion`, `joints`) or dm_control (`walkers`); CSV like LAFAN1's"
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The clips of a file, whose joints are the model's in its order, with velocities; what may be wrong with
+    each, one list a clip; and the file's format."""
+
+    format: str
+    clips: Sequence[Clip]
+    warnings: Sequence[Sequence[str]]
+
+
+def read(path: Path, model: mujoco.MjModel, *, rate: float | None = None, name: str = "clip") -> Reading:
+    """The clips of the file, checked.
+
+    rate: frames per second, for a file that does not say. name: of the clip of a file that has one, and no
+    name for it. Raises BadClips with what is wrong, clip by clip; nothing of such a file can be used.
+    """
+    skeleton = skeleton_of(model)
+    format, recordings = _recordings(path)
+    if not recordings:
+        raise BadClips("The file has no clips.")
+    if len(recordings) > MOST_CLIPS:
+        raise BadClips(f"The file has {len(recordings):,} clips; at most {MOST_CLIPS:,} are read.")
+    clips: list[Clip] = []
+    warnings: list[list[str]] = []
+    problems: list[str] = []
+    for recording, label in zip(recordings, _labels(recordings, name), strict=True):
+        clip = _clip(replace(recording, name=label), skeleton, rate)
+        found = numeric_problems(clip)
+        if not found:
+            clip = with_velocities(_with_unit_quaternions(clip))
+            findings = check(clip, skeleton)
+            found = findings.problems
+            warnings.append(findings.warnings)
+        clips.append(clip)
+        problems += found if len(recordings) == 1 else [f"{label}: {sentence}" for sentence in found]
+        if len(problems) >= _MOST_PROBLEMS:
+            break
+    if problems:
+        raise BadClips(" ".join(problems[:_MOST_PROBLEMS]))
+    return Reading(format, clips, warnings)
+
+
+def _recordings(path: Path) -> tuple[str, list[Recording]]:
+    with path.open("rb") as file:
+        start = file.read(len(hdf5.MAGIC))
+    if start.startswith(_NPZ_MAGIC):
+        return _of_npz(path)
+    if start == hdf5.MAGIC:
+        return _of_hdf5(path)
+    if start.startswith(b"\x93NUMPY"):
+        raise BadClips("The file is a single NumPy array (.npy), without names or a rate: send NPZ or CSV.")
+    if start.startswith(b"\x80"):
+        raise BadClips(
+            "The file is pickled Python, which is not read: it could run anything. Send NPZ or HDF5."
+        )
+    if not start:
+        raise BadClips("The file is empty.")
+    return lafan.NAME, lafan.recordings(path)
+
+
+def _of_npz(path: Path) -> tuple[str, list[Recording]]:
+    try:
+        with zipfile.ZipFile(path) as packed:
+            size = sum(member.file_size for member in packed.infolist())
+        if size > _LARGEST_NPZ_BYTES:
+            raise BadClips(f"The file has {size:,} bytes unpacked; at most {_LARGEST_NPZ_BYTES:,} are read.")
+        with np.load(path, allow_pickle=False) as file:
+            names = set(file.files)
+            about = trajectories.about_of(file, names)
+            if about.get("format") == archive.FORMAT:
+                return archive.FORMAT, [_of_our_own(clip) for clip in archive.from_file(path)]
+            if trajectories.is_one(about):
+                return trajectories.NAME, trajectories.recordings(file, about)
+            if mjlab.is_one(names):
+                return mjlab.NAME, mjlab.recordings(file, names)
+    except ValueError as error:
+        if "allow_pickle" in str(error):
+            detail = (
+                "An array of the file holds pickled objects, which are not read: they could run anything."
+            )
+            raise BadClips(detail) from None
+        raise BadClips(f"The NPZ file cannot be read: {error}.") from None
+    except (
+        zipfile.BadZipFile,
+        zipfile.LargeZipFile,
+        EOFError,
+        OSError,
+        KeyError,
+        NotImplementedError,
+    ) as error:
+        raise BadClips(f"The NPZ file is not whole: {error}.") from None
+    raise BadClips(f"The NPZ file has {_some(names)}, which is no known format. Known are {_FORMATS}.")
+
+
+def _of_hdf5(path: Path) -> tuple[str, list[Recording]]:
+    with hdf5.opened(path) as root:
+        file = hdf5.members(root)
+        if stac.is_one(file):
+            return stac.NAME, stac.recordings(file)
+        if mocap.is_one(file):
+            return mocap.NAME, mocap.recordings(file)
+        raise BadClips(f"The HDF5 file has {_some(file)}, which is no known format. Known are {_FORMATS}.")
+
+
+def _of_our_own(clip: Clip) -> Recording:
+    values: dict[str, Any] = dict(arrays(clip))
+    return Recording(name=clip.name, rate=clip.rate, joints=clip.joints, **values)
+
+
+def _some(names: Mapping[str, Any] | set[str]) -> str:
+    found = sorted(names)
+    return ", ".join(f"`{name[:40]}`" for name in found[:8]) or "nothing"
+
+
+def _labels(recordings: Sequence[Recording], name: str) -> Iterator[str]:
+    """Names of which no two are the same."""
+    used = set[str]()
+    for recording in recordings:
+        label = plain = (recording.name or name)[:LONGEST_NAME]
+        number = 1
+        while label in used:
+            number += 1
+            label = f"{plain}_{number}"
+        used.add(label)
+        yield label
+
+
+def _clip(recording: Recording, skeleton: Skeleton, rate: float | None) -> Clip:
+    """The recording as one of the body. Raises BadClips."""
+    recording = _with_root(recording, skeleton)
+    values = {
+        name: getattr(recording, name)
+        for name in (
+            "root_position",
+            "root_orientation",
+            "joint_positions",
+            "root_linear_velocity",
+            "root_angular_velocity",
+            "joint_velocities",
+        )
+    }
+    orders = [recording.joints] if recording.joints is not None else _orders(recording, skeleton)
+    facts: dict[str, Any] = {"name": recording.name, "rate": _rate(recording, rate)}
+    try:
+        candidates = [aligned(Clip(**facts, joints=joints, **values), skeleton) for joints in orders]
+    except ValueError as error:
+        raise BadClips(str(error)) from None
+    if len(candidates) == 1 or recording.body_positions is None:
+        return candidates[0]
+    places = recording.body_positions
+    return min(candidates, key=lambda clip: _distance(clip, places, skeleton))
+
+
+def _with_root(recording: Recording, skeleton: Skeleton) -> Recording:
+    """The recording with its root apart from its joints. Raises BadClips if columns and joints do not fit."""
+    num_joints = len(skeleton.joints if recording.joints is None else recording.joints)
+    rows = recording.joint_positions
+    if recording.root_position is None:
+        if skeleton.root_joint is None and rows.shape[1] == num_joints:
+            position, orientation = at_the_origin(len(rows))
+            return replace(recording, root_position=position, root_orientation=orientation)
+        if rows.shape[1] != num_joints + 7:
+            raise BadClips(
+                f"The clip {recording.name!r} has {rows.shape[1]} columns; its {num_joints} joints with the "
+                f"root's position and orientation take {num_joints + 7}."
+            )
+        return replace(
+            recording,
+            root_position=rows[:, :3],
+            root_orientation=rows[:, 3:7],
+            joint_positions=rows[:, 7:],
+        )
+    if recording.joints is None and rows.shape[1] == num_joints + 7:
+        return replace(
+            recording, joint_positions=rows[:, 7:], root_position=rows[:, :3], root_orientation=rows[:, 3:7]
+        )
+    if recording.joints is None and rows.shape[1] != num_joints:
+        raise BadClips(
+            f"The clip {recording.name!r} is of another body: it has {rows.shape[1]} joints, without names, "
+            f"and the body has {num_joints}."
+        )
+    return recording
+
+
+def _rate(recording: Recording, rate: float | None) -> float:
+    """Frames per second. Raises BadClips if neither the file nor its sender says, or if they disagree."""
+    if recording.rate is None:
+        if rate is None:
+            hint = f" {recording.rate_hint}" if recording.rate_hint else ""
+            raise BadClips(f"The file does not say how many frames a second it has: give `rate`.{hint}")
+        return rate
+    if rate is not None and abs(rate - recording.rate) > 0.001 * rate:
+        raise BadClips(f"The file says that it has {recording.rate:g} frames a second, and `rate` {rate:g}.")
+    return recording.rate
+
+
+def _orders(recording: Recording, skeleton: Skeleton) -> list[tuple[str, ...]]:
+    """What joints without names may be: the model's in its order, or by depth, as Isaac Lab has them."""
+    if recording.body_positions is None or recording.body_positions.shape[0] != len(
+        recording.joint_positions
+    ):
+        return [skeleton.joints]
+    return [skeleton.joints, skeleton.joints_by_depth]
+
+
+def _distance(clip: Clip, places: Array, skeleton: Skeleton) -> float:
+    """How far the body's bodies are from the root beside those in the file, in m, over some frames.
+
+    Each is compared with the one whose distance is nearest: the file may have others, in any order.
+    """
+    frames = np.unique(np.linspace(0, clip.num_frames - 1, 20).astype(int))
+    at = poses(qpos(clip, skeleton)[frames], skeleton.model).body_positions[:, skeleton.bodies]
+    ours = np.linalg.norm(at - clip.root_position[frames, None], axis=-1)
+    theirs = np.linalg.norm(places[frames] - clip.root_position[frames, None], axis=-1)
+    return float(np.abs(ours[:, :, None] - theirs[:, None]).min(axis=-1).mean())
+
+
+def _with_unit_quaternions(clip: Clip) -> Clip:
+    lengths = np.linalg.norm(clip.root_orientation, axis=-1, keepdims=True)
+    return replace(clip, root_orientation=clip.root_orientation / lengths)
