@@ -1,0 +1,179 @@
+"""Clips from the places of markers or key points: the poses that put a body's points nearest to them.
+
+Least squares by MuJoCo's own `mujoco.minimize`, within the joints' limits, frame after frame.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import minimize
+from numpy.typing import NDArray
+
+from core.clips.clip import Clip
+from core.clips.quaternions import Array
+from core.clips.skeleton import Skeleton, listed, skeleton_of
+from core.errors import BadClips
+
+# m that a point may be farther off, for each rad by which a joint stays nearer to its last pose: it says what
+# joints do that no point shows.
+_STIFFNESS = 1e-3
+_FIRST_ITERATIONS, _ITERATIONS = 300, 50
+_FAR = 1e3
+_FEWEST_POINTS = 3
+
+
+@dataclass(frozen=True)
+class BodyPoint:
+    """A point of a body, at `offset` [m] in the body's frame."""
+
+    body: str
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """distances: m between each key point and the body's, [T, K]; NaN where the key point was not seen."""
+
+    clip: Clip
+    distances: Array
+
+
+def solve(
+    key_points: Array,
+    names: Sequence[str],
+    mapping: Mapping[str, BodyPoint],
+    model: mujoco.MjModel,
+    *,
+    rate: float,
+    name: str = "clip",
+) -> Solution:
+    """The clip whose poses follow the key points, without velocities.
+
+    key_points: [T, K, 3] m in the world; NaN where one was not seen. names: of the K. mapping: which point of
+    which body each is; those that it does not name are not used. Raises BadClips.
+    """
+    skeleton = skeleton_of(model)
+    used = _used(key_points, names, mapping)
+    fit = _Fit(skeleton, [mapping[names[place]] for place in used])
+    seen = key_points[:, used]
+    distances = np.full(key_points.shape[:2], np.nan)
+    rows = np.empty((len(seen), model.nq))
+    row = np.asarray(model.qpos0).copy()
+    if skeleton.root_joint is not None:
+        row = fit.with_root(row, seen[0])
+    for frame, targets in enumerate(seen):
+        row = fit.nearest(row, targets, _ITERATIONS if frame else _FIRST_ITERATIONS)
+        rows[frame] = row
+        distances[frame, used] = np.linalg.norm(fit.points(row) - targets, axis=-1)
+    return Solution(_clip(rows, skeleton, rate, name), distances)
+
+
+def _used(key_points: Array, names: Sequence[str], mapping: Mapping[str, BodyPoint]) -> list[int]:
+    """The numbers of the key points that the mapping names. Raises BadClips."""
+    if key_points.ndim != 3 or key_points.shape[1:] != (len(names), 3):
+        shape = list(key_points.shape)
+        raise BadClips(f"The key points have the shape {shape}, not [T, {len(names)}, 3] as their names ask.")
+    if unknown := [name for name in mapping if name not in names]:
+        raise BadClips(f"The recording has no key points {listed(unknown)}.")
+    used = [place for place, name in enumerate(names) if name in mapping]
+    if len(key_points) < 2:
+        raise BadClips(f"The recording has {len(key_points)} frames; motion needs at least two.")
+    number = np.isfinite(key_points[:, used]).all(axis=-1).sum(axis=1)
+    if (number < _FEWEST_POINTS).any():
+        frame = int((number < _FEWEST_POINTS).argmax())
+        raise BadClips(
+            f"In frame {frame}, {number[frame]} of the mapped key points are seen; it takes {_FEWEST_POINTS}."
+        )
+    return used
+
+
+def _clip(rows: Array, skeleton: Skeleton, rate: float, name: str) -> Clip:
+    position, orientation = np.zeros((len(rows), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(rows), 1))
+    if skeleton.root_joint is not None:
+        start = skeleton.root_address
+        position, orientation = rows[:, start : start + 3], rows[:, start + 3 : start + 7]
+    joints = rows[:, skeleton.joint_addresses]
+    return Clip(name, rate, position, orientation, skeleton.joints, joints)
+
+
+class _Fit:
+    """Poses of one body beside key points. It has MuJoCo's data, which each call overwrites."""
+
+    def __init__(self, skeleton: Skeleton, points: Sequence[BodyPoint]) -> None:
+        """Raises BadClips for a body that the model lacks."""
+        model = skeleton.model
+        bodies = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, point.body) for point in points]
+        if -1 in bodies:
+            raise BadClips(f"The model has no body `{points[bodies.index(-1)].body}`.")
+        self._skeleton, self._model, self._data = skeleton, model, mujoco.MjData(model)
+        self._bodies = np.array(bodies, int)
+        self._offsets = np.array([point.offset for point in points], float)
+        dofs = list(np.asarray(model.jnt_dofadr)[skeleton.joint_ids])
+        if skeleton.root_joint is not None:
+            start = int(model.jnt_dofadr[skeleton.root_joint])
+            dofs = [*range(start, start + 6), *dofs]
+        self._dofs = np.array(dofs, int)
+        self._num_joints = len(skeleton.joint_ids)
+
+    def points(self, row: Array) -> Array:
+        """Where the body's points are, [K, 3] m. row: [nq]."""
+        self._data.qpos[:] = row
+        mujoco.mj_kinematics(self._model, self._data)
+        turns = self._data.xmat[self._bodies].reshape(-1, 3, 3)
+        return self._data.xpos[self._bodies] + np.einsum("kij,kj->ki", turns, self._offsets)
+
+    def with_root(self, row: Array, targets: Array) -> Array:
+        """The pose with its root where the points as they are lie nearest to the targets (Kabsch, 1976)."""
+        seen = np.isfinite(targets).all(axis=-1)
+        ours, theirs = self.points(row)[seen], targets[seen]
+        centre, aim = ours.mean(axis=0), theirs.mean(axis=0)
+        left, _, right = np.linalg.svd((ours - centre).T @ (theirs - aim))
+        handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))])
+        turn = right.T @ handed @ left.T
+        quaternion, moved, start = np.empty(4), row.copy(), self._skeleton.root_address
+        mujoco.mju_mat2Quat(quaternion, turn.ravel())
+        mujoco.mju_mulQuat(moved[start + 3 : start + 7], quaternion, row[start + 3 : start + 7])
+        moved[start : start + 3] = turn @ (row[start : start + 3] - centre) + aim
+        return moved
+
+    def nearest(self, row: Array, targets: Array, iterations: int) -> Array:
+        """The pose, from this one on, whose points are nearest to the targets that were seen."""
+        seen = np.isfinite(targets).all(axis=-1)
+
+        def residual(steps: Array) -> Array:
+            columns = [
+                np.concatenate(
+                    [
+                        (self.points(self._stepped(row, step))[seen] - targets[seen]).ravel(),
+                        _STIFFNESS * step[len(step) - self._num_joints :],
+                    ]
+                )
+                for step in steps.T
+            ]
+            return np.stack(columns, axis=1)
+
+        bounds = self._bounds(row)
+        start = np.clip(np.zeros(len(self._dofs)), *bounds)
+        step, _ = minimize.least_squares(start, residual, bounds, max_iter=iterations, verbose=0)
+        return self._stepped(row, np.asarray(step).ravel())
+
+    def _stepped(self, row: Array, step: Array) -> Array:
+        moved, speeds = row.copy(), np.zeros(self._model.nv)
+        speeds[self._dofs] = step
+        mujoco.mj_integratePos(self._model, moved, speeds, 1.0)
+        return moved
+
+    def _bounds(self, row: Array) -> list[Any]:
+        """Of a step: the joints' limits; the root has none that matter."""
+        model, ids = self._model, self._skeleton.joint_ids
+        limited: NDArray[np.bool_] = np.asarray(model.jnt_limited, bool)[ids]
+        low, high = np.asarray(model.jnt_range)[ids].T
+        here = row[self._skeleton.joint_addresses]
+        free = np.full(len(self._dofs) - self._num_joints, _FAR)
+        return [
+            np.concatenate([-free, np.where(limited, low - here, -_FAR)]),
+            np.concatenate([free, np.where(limited, high - here, _FAR)]),
+        ]
