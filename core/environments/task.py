@@ -547,7 +547,7 @@ def _playback(
 ) -> Playback | None:
     if reference is None:
         return None
-    clips = list(chosen_clips(reference.clips, files, 1.0 / control_step_s))
+    clips = list(chosen_clips(reference.clips, files, 1.0 / control_step_s, model.model))
     return Playback(reference, frames_of(clips, model.model, model.followed, model.pose), control_step_s)
 
 

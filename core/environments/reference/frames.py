@@ -10,10 +10,12 @@ import numpy as np
 from core.clips import clip as clips
 from core.clips.archive import from_file
 from core.clips.clip import Clip
+from core.clips.mirror import mirror_of, mirrored
 from core.clips.options import ClipChoice
+from core.clips.skeleton import skeleton_of
 from core.environments.terms.followed import Followed
 from core.environments.terms.reference import Frame
-from core.errors import JobFailed
+from core.errors import BadClips, JobFailed
 from core.patterns import matching
 from core.reasons import Reason
 
@@ -53,13 +55,13 @@ def frames_of(
 
 
 def chosen_clips(
-    choices: Sequence[ClipChoice], files: Mapping[str, Path], rate: float
+    choices: Sequence[ClipChoice], files: Mapping[str, Path], rate: float, model: mujoco.MjModel
 ) -> Iterator[tuple[Clip, float]]:
     """The clips of a job as it asks for them, with their weights. files: by the ids of the choices. rate: in
     frames per second.
 
-    Raises JobFailed("bad_model") where a file is missing or cannot be read, has no such clip, or a clip is
-    over before it begins.
+    Raises JobFailed("bad_model") where a file is missing or cannot be read, has no such clip, a clip is over
+    before it begins, or it is to be mirrored and the body is not symmetric.
     """
     for choice in choices:
         if (file := files.get(choice.file)) is None:
@@ -68,8 +70,8 @@ def chosen_clips(
             found = from_file(file)
             for name in _named(choice, [one.name for one in found]):
                 one = next(one for one in found if one.name == name)
-                yield _changed(one, choice, rate), choice.weight
-        except ValueError as error:
+                yield _changed(one, choice, rate, model), choice.weight
+        except (ValueError, BadClips) as error:
             raise _bad(str(error)) from None
 
 
@@ -82,10 +84,10 @@ def _named(choice: ClipChoice, names: Sequence[str]) -> Sequence[str]:
     return matching(choice.names, names)
 
 
-def _changed(clip: Clip, choice: ClipChoice, rate: float) -> Clip:
+def _changed(clip: Clip, choice: ClipChoice, rate: float, model: mujoco.MjModel) -> Clip:
     clip = clips.cut(clip, choice.from_s, choice.to_s)
     if choice.mirror:
-        raise _bad("Clips are not mirrored yet.")
+        clip = mirrored(clip, mirror_of(skeleton_of(model)))
     clip = clips.with_velocities(clip if choice.speed == 1.0 else clips.sped_up(clip, choice.speed))
     clip = clips.resampled(clip, rate)
     if clip.num_frames < 2:

@@ -238,6 +238,18 @@ def test_a_clip_is_cut_and_sped_up_as_the_job_says(tmp_path: Path) -> None:
     np.testing.assert_allclose(frames.qvel[:, 0], 2.0, atol=1e-5)
 
 
+def test_a_mirrored_clip_goes_to_the_other_side(tmp_path: Path) -> None:
+    left = flight()
+    left.root_position[:, 1] = left.root_position[:, 0]
+    environment = follower(tmp_path, [left], reference={"clips": [{"file": FILE, "mirror": True}]})
+    assert environment.playback is not None
+    frames = environment.playback.frames.frames
+    np.testing.assert_allclose(frames.qpos[:, 1], -frames.qpos[:, 0], atol=1e-6)
+    np.testing.assert_allclose(frames.qvel[:, 1], -1.0, atol=1e-5)
+    # The elbow turns about y, which a mirror leaves.
+    np.testing.assert_allclose(frames.qpos[:, 7], 0.5 * DT * np.arange(NUM_ROWS), atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("clips", "reference", "words"),
     [
