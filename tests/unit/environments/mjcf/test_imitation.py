@@ -23,6 +23,7 @@ from core.environments.terms.binding import bound
 from core.environments.terms.step import Step
 from core.environments.terms.vocabulary import AnyReward
 from core.errors import JobFailed, Rejected
+from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from tests.unit.environments.mjcf.probe import KEY, XML, options
 from tests.unit.environments.mjcf.test_check import PROBE, parsed
@@ -31,6 +32,7 @@ from tests.unit.environments.mjcf.test_environment import NO_TORQUE
 FILE = "sha256:" + "1" * 64
 # The probe acts every 0.01 s. The clip's five frames are 0.02 s apart, so that nine rows come of them.
 RATE, NUM_ROWS, DT = 50.0, 9, 0.01
+ENGINES: tuple[EngineName, ...] = ("native", "compiled")
 REWARDS = (
     "track_root_position",
     "track_root_orientation",
@@ -61,13 +63,14 @@ def follower(
 ) -> TaskEnv:
     """The probe that follows these clips."""
     file, model = folder / "clips.npz", folder / "model"
+    engine: EngineName = given.pop("engine", "native")
     file.write_bytes(to_bytes(clips))
     model.write_bytes(XML)
     info = catalog.find("mjcf")
     following = {"clips": [{"file": FILE}], **(reference or {})}
     given = {"reward": [{"kind": "track_joints"}], **given}
     parsed = catalog.parse_options(info, options(reference=following, **given))
-    made = catalog.make(info, parsed, engine_builder("native"), model, {FILE: file})
+    made = catalog.make(info, parsed, engine_builder(engine), model, {FILE: file})
     assert isinstance(made, TaskEnv)
     return made
 
@@ -126,6 +129,16 @@ def test_what_follows_exactly_earns_all_of_every_term(tmp_path: Path) -> None:
     # From row 2 to the last one, 8, it is six steps.
     assert float(state.metrics["clip_followed"]) == pytest.approx(1 / 6)
     assert float(state.done) == 0.0
+
+
+def test_compiled_earns_and_sees_what_native_does(tmp_path: Path) -> None:
+    seen = [
+        jax.jit(environment.step)(environment.at_frame(jnp.int32(2)).reset(KEY), jnp.array([0.5]))
+        for environment in (follower(tmp_path, engine=engine, **all_terms()) for engine in ENGINES)
+    ]
+    np.testing.assert_allclose(seen[0].obs, seen[1].obs, atol=1e-4)
+    for name, value in seen[0].metrics.items():
+        assert float(value) == pytest.approx(float(seen[1].metrics[name]), abs=1e-4), name
 
 
 def test_each_kernel_is_that_of_its_error(tmp_path: Path) -> None:

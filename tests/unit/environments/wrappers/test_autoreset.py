@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.environments.environment import State
+from core.environments.environment import TRUNCATED, State
 from core.environments.wrappers.autoreset import (
     Episodes,
     begun_at_random,
@@ -102,6 +104,20 @@ def test_an_episode_that_terminates_with_its_last_step_is_not_truncated() -> Non
     np.testing.assert_array_equal(episodes.state.done, [1])
     np.testing.assert_array_equal(episodes.truncated, [0])
     np.testing.assert_array_equal(episodes.ended_length, [3])
+
+
+@pytest.mark.parametrize(("failed", "truncated"), [(0.0, 1.0), (1.0, 0.0)])
+def test_an_episode_whose_task_is_over_is_truncated_unless_it_failed(failed: float, truncated: float) -> None:
+    episodes = start_episodes(ENVS, jax.random.PRNGKey(0), 1, keep_first=True)
+    over = {TRUNCATED: jnp.array([1.0 - failed])}
+    assert episodes.first is not None
+    first = replace(episodes.first, info={TRUNCATED: jnp.zeros(1)})
+    ended = replace(episodes.state, done=jnp.ones(1), info=over)
+    after = follow(replace(episodes, first=first), ended, None, episode_length=3)
+    np.testing.assert_array_equal(after.truncated, [truncated])
+    np.testing.assert_array_equal(after.state.done, [1])
+    np.testing.assert_array_equal(after.ended_length, [1])
+    np.testing.assert_array_equal(after.state.info[TRUNCATED], [0])
 
 
 def test_each_environment_goes_back_to_its_own_first_state_and_info_where_that_was_kept() -> None:

@@ -1,0 +1,63 @@
+"""How far policies follow clips, on the probe, whose clips nothing but its elbow leaves."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from core.algorithms.following import followed, spread_over
+from core.algorithms.trained_policy import of_network
+from core.environments.rollout import Roller
+from core.environments.task import TaskEnv
+from tests.unit.environments.mjcf.probe import build
+from tests.unit.environments.mjcf.test_environment import NO_TORQUE
+from tests.unit.environments.mjcf.test_imitation import FILE, flight, follower
+
+RESTS = of_network(None, lambda parameters, observation, key: NO_TORQUE, 1)
+
+
+def two_clips(folder: Path, **given: Any) -> TaskEnv:
+    return follower(folder, [flight(name="a"), flight(2.0, name="b")], {"clips": [{"file": FILE}]}, **given)
+
+
+def test_starts_are_spread_over_all_clips_but_their_last_frames(tmp_path: Path) -> None:
+    environment = two_clips(tmp_path)
+    # Nine rows each, of which the ninth is the last.
+    assert spread_over(environment, 16).tolist() == [*range(8), *range(9, 17)]
+    assert spread_over(environment, 2).tolist() == [0, 16]
+
+
+def test_who_flies_on_comes_to_the_end_of_both_clips(tmp_path: Path) -> None:
+    environment = two_clips(tmp_path, termination=[])
+    whole, by_clip = followed(environment, RESTS, spread_over(environment, 16), seed=0)
+    assert (whole.starts, whole.reached) == (16, 1.0)
+    assert {name: row.starts for name, row in by_clip.items()} == {"a": 8, "b": 8}
+    assert whole.root_error < 1e-3
+    # The elbow keeps its 0.5 rad/s but for the ball's recoil.
+    assert whole.joint_error < 0.01
+
+
+def test_who_is_lost_does_not_come_to_the_end(tmp_path: Path) -> None:
+    lost = [{"kind": "far_from_reference", "root_position": 1e-6}]
+    environment = two_clips(tmp_path, termination=lost, reset={"position_noise": 0.01, "velocity_noise": 0.0})
+    whole, _ = followed(environment, RESTS, spread_over(environment, 4), seed=0)
+    assert (whole.reached, whole.close) == (0.0, 0.0)
+    assert 0.0 < whole.root_error < 0.02
+
+
+def test_a_task_without_a_reference_is_a_mistake(tmp_path: Path) -> None:
+    environment = build(tmp_path)
+    assert isinstance(environment, TaskEnv)
+    with pytest.raises(ValueError, match="follows no reference"):
+        spread_over(environment, 2)
+
+
+def test_an_episode_that_came_to_its_clips_end_did_not_terminate(tmp_path: Path) -> None:
+    environment = two_clips(tmp_path, termination=[])
+    roller = Roller(environment, RESTS.acting(environment).act)
+    [episode] = roller.episodes(None, jax.random.PRNGKey(0), num_steps=20, num_episodes=1)
+    assert 1 <= episode.num_steps <= 8
+    assert not episode.terminated
+    assert np.sum(episode.metrics["clip_followed"]) == pytest.approx(1.0, abs=1e-5)
