@@ -6,7 +6,7 @@ and only its owner or an admin changes it.
 
 from collections.abc import AsyncIterator, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import structlog
 from anyio import to_thread
@@ -20,7 +20,6 @@ from core.accounts.store import Actor
 from core.errors import (
     DeliveryNotFound,
     JobNotFound,
-    ModelNotFound,
     NotFound,
     ProjectNotFound,
     SweepNotFound,
@@ -29,6 +28,7 @@ from core.errors import (
 )
 from core.jobs.store import Whose
 from core.news.webhook import delivery_number
+from core.uploads.record import UploadStore
 
 
 @dataclass(frozen=True)
@@ -127,6 +127,14 @@ ROUTES: Mapping[str, Access] = {
     "GET /models": _READ,
     "GET /models/{model_id}": _READ,
     "DELETE /models/{model_id}": _changes("model.deleted"),
+    "POST /clips": _submits("clips.sent"),
+    "GET /clips": _READ,
+    "GET /clips/{clips_id}": _READ,
+    "GET /clips/{clips_id}/file": _READ,
+    "GET /clips/{clips_id}/replay": _READ,
+    "GET /clips/{clips_id}/replay/scene": _READ,
+    "PATCH /clips/{clips_id}": _changes("clips.changed"),
+    "DELETE /clips/{clips_id}": _changes("clips.deleted"),
     # A viewer has tokens, too; none that may do more.
     "GET /tokens": _READ,
     "POST /tokens": _READ,
@@ -248,6 +256,18 @@ def _lacks_scope(needed: TokenScope, principal: Principal) -> Forbidden:
     return Forbidden(detail, needed_scope=needed)
 
 
+async def _check_upload(
+    access: Access, principal: Principal, upload_id: str, store: UploadStore[Any], what: str
+) -> None:
+    found = await to_thread.run_sync(store.owners_of, [upload_id])
+    seen = [one for one in found.get(upload_id, ()) if principal.sees(one.project)]
+    own = [one for one in seen if principal.may_change(one.owner)]
+    missing = store.kind.missing(upload_id[:80])
+    if not seen:
+        raise missing
+    _check(principal, (own or seen)[0], missing, what, owns=access.owns)
+
+
 async def _check_owner(access: Access, principal: Principal, request: Request, service: Service) -> None:
     """Raises NotFound for a thing in other projects; Forbidden where another user's may not be changed."""
     path = request.path_params
@@ -262,13 +282,9 @@ async def _check_owner(access: Access, principal: Principal, request: Request, s
         )
         _check(principal, owner, SweepNotFound(sweep_id[:64]), f"Sweep {sweep_id}", owns=access.owns)
     elif (model_id := path.get("model_id")) is not None:
-        found = await to_thread.run_sync(service.store.models.owners_of, [model_id])
-        seen = [one for one in found.get(model_id, ()) if principal.sees(one.project)]
-        own = [one for one in seen if principal.may_change(one.owner)]
-        missing = ModelNotFound(model_id[:80])
-        if not seen:
-            raise missing
-        _check(principal, (own or seen)[0], missing, "The model", owns=access.owns)
+        await _check_upload(access, principal, model_id, service.store.models, "The model")
+    elif (clips_id := path.get("clips_id")) is not None:
+        await _check_upload(access, principal, clips_id, service.store.clips, "The file of clips")
     elif (delivery_id := path.get("delivery_id")) is not None:
         number = delivery_number(delivery_id)
         webhook = await to_thread.run_sync(service.store.webhook_of, number)

@@ -25,6 +25,7 @@ from core.errors import (
     ArtifactNotReady,
     JobNotFound,
     JobUnreadable,
+    NotFound,
     ObjectDamaged,
     ObjectNotFound,
     RecordsUnavailable,
@@ -84,15 +85,17 @@ def _suffix(length: int, size: int) -> ByteRange:
     return ByteRange(size - length, length, size)
 
 
-def responses(media_type: str) -> dict[int | str, dict[str, Any]]:
-    """The responses of a route that serves files of this media type; `*/*` for any."""
+def responses(media_type: str, missing: type[NotFound] = JobNotFound) -> dict[int | str, dict[str, Any]]:
+    """The responses of a route that serves files of this media type, `*/*` for any.
+
+    missing: for an owner that does not exist."""
     content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
     return {
         200: {"description": "The whole file", "content": content},
         206: {"description": "The bytes that `Range` names", "content": content},
         304: {"description": "The client has this version: `If-None-Match` names its ETag"},
         **refusals(
-            JobNotFound,
+            missing,
             ArtifactNotFound,
             ArtifactNotReady,
             JobUnreadable,

@@ -42,7 +42,7 @@ _VALUES: dict[str, Any] = {
     "EngineName": EngineName,
     "JobPhase": JobPhase,
     "JobStatus": JobStatus,
-    "ModelStatus": UploadStatus,
+    "UploadStatus": UploadStatus,
     "PreviewStatus": Literal["ready", "drawing"],
     "Priority": Priority,
     "QuotaKind": QuotaKind,
@@ -153,6 +153,7 @@ class _Limits:
 
     max_body_bytes: int
     max_model_bytes: int
+    max_clips_bytes: int
     max_import_bytes: int
 
 
@@ -173,12 +174,15 @@ def _define_parts(operation: dict[str, Any], schemas: dict[str, Any]) -> None:
 def _bound_body(operation: dict[str, Any], limits: _Limits) -> None:
     """Say how long the body may be: `maxLength` of bytes that are sent as they are, else `x-maxBytes`."""
     content: dict[str, Any] = operation.get("requestBody", {}).get("content", {})
-    is_import = "sharing" in operation.get("tags", ())
+    tags = operation.get("tags", ())
+    most = limits.max_import_bytes if "sharing" in tags else limits.max_model_bytes
+    if "clips" in tags:
+        most = limits.max_clips_bytes
     for media_type, said in content.items():
         if media_type.endswith("json"):
             operation["requestBody"]["x-maxBytes"] = limits.max_body_bytes
         else:
-            said["schema"]["maxLength"] = limits.max_import_bytes if is_import else limits.max_model_bytes
+            said["schema"]["maxLength"] = most
 
 
 def _answer_with_problems(responses: dict[str, Any]) -> None:

@@ -123,9 +123,9 @@ class UnsupportedMediaType(EdgeError):
         return {"Accept-Post": ", ".join(self._accepted)}
 
 
-class TooManyModels(EdgeError):
-    """GAITWAY_MAX_WAITING_MODELS models are being uploaded or wait for validation. Workers validate models
-    when no job waits."""
+class TooManyUploads(EdgeError):
+    """GAITWAY_MAX_WAITING_MODELS models, or as many files of clips, are being uploaded or wait for
+    validation. Workers validate them when no job waits."""
 
     status = 429
     code = "too-many-models"
@@ -133,8 +133,8 @@ class TooManyModels(EdgeError):
 
     def __init__(self, most: int) -> None:
         super().__init__(
-            f"{most} models, the maximum, wait for a worker that has no job and can validate them; send this "
-            "one later.",
+            f"{most} models or files of clips, the maximum, wait for a worker that has no job and can "
+            "validate them; send this one later.",
             most=most,
         )
 

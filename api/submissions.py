@@ -31,7 +31,7 @@ from core.errors import Problem, Rejected, StorageUnavailable
 from core.jobs.resolved import resolve_environment
 from core.jobs.spec import JOB_SPEC, EnvironmentSpec, JobSpec
 from core.jobs.store import Idempotency
-from core.jobs.submission import check_readable_model
+from core.jobs.submission import check_readable_uploads
 from core.jobs.uploads import Uploads
 from core.sweeps.spec import SWEEP_SPEC, Budget, SweepSpec
 
@@ -307,7 +307,7 @@ def info_under(
         return info
     environment = EnvironmentSpec(id=environment_id, options=parse_options(options))
     try:
-        check_readable_model(environment, principal.readable, store)
+        check_readable_uploads(environment, principal.readable, store)
         return resolve_environment(environment, store)[0]
     except Rejected as refusal:
         raise in_the_query(refusal) from None

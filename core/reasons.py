@@ -19,6 +19,7 @@ class Reason(StrEnum):
     OUT_OF_HOST_MEMORY = "out_of_host_memory"
     DIVERGED = "diverged"
     BAD_MODEL = "bad_model"
+    BAD_CLIPS = "bad_clips"
     BAD_CHECKPOINT = "bad_checkpoint"
     NO_DEVICE = "no_device"
     DEVICE_FAILED = "device_failed"

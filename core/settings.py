@@ -220,8 +220,14 @@ class ApiSettings(StoreSettings):
     max_model_bytes: int = Field(
         2**26, gt=0, description="Largest model that `POST /models` accepts, in bytes as it is sent."
     )
+    max_clips_bytes: int = Field(
+        2**28, gt=0, description="Largest file that `POST /clips` accepts, in bytes."
+    )
     max_waiting_models: int = Field(
-        32, gt=0, description="How many models may wait for validation; further ones are refused."
+        32,
+        gt=0,
+        description="How many models, and how many files of clips, may wait for validation; further ones are "
+        "refused.",
     )
     max_import_bytes: int = Field(
         2**32,

@@ -39,6 +39,7 @@ from worker.preview.drawing import draw
 from worker.stopping import Draining
 from worker.supervision.spool import SPOOLS, remove_left_over, spool
 from worker.supervision.supervisor import Supervisor
+from worker.validation import clips
 from worker.validation.confined import validate
 
 log = structlog.get_logger()
@@ -163,6 +164,22 @@ def validate_model(model_id: str) -> None:
         )
 
 
+def validate_clips(file_id: str) -> None:
+    """Examine a file of clips that somebody has sent; skip one that was deleted meanwhile."""
+    die_with_parent(signal_number=signal.SIGTERM)
+    settings = read(WorkerSettings)
+    data = settings.data_dir.absolute()
+    with spool(data / SPOOLS / f"{file_id.replace(':', '-')}.{os.getpid()}") as folder, suppress(NotFound):
+        clips.validate_clips(
+            file_id,
+            job_store(settings),
+            object_store(settings),
+            folder,
+            data,
+            strictly=settings.models == "confined",
+        )
+
+
 def _a_job_waits(store: JobStore) -> bool:
     with suppress(Unavailable):
         return bool(store.list(JobQuery(status=JobStatus.QUEUED), limit=1).jobs)
@@ -199,13 +216,14 @@ class UnknownTask(Exception):
 
 
 class NamedJob(RqJob):
-    """An RQ job that is one of our three tasks. RQ itself would call whatever Python function it names.
+    """An RQ job that is one of our tasks. RQ itself would call whatever Python function it names.
 
     Callbacks are never run: their names come from Redis, too.
     """
 
     tasks: ClassVar[dict[str, Callable[..., None]]] = {
-        f"{task.__module__}.{task.__name__}": task for task in (run_attempt, validate_model, draw_preview)
+        f"{task.__module__}.{task.__name__}": task
+        for task in (run_attempt, validate_model, validate_clips, draw_preview)
     }
 
     @property

@@ -4,6 +4,7 @@ from api.routes import (
     accounts,
     bulk,
     catalog,
+    clips,
     files,
     health,
     jobs,
@@ -33,6 +34,7 @@ ROUTERS = (
     sharing.router,
     sweeps.router,
     models.router,
+    clips.router,
     previews.router,  # Before the catalog's, whose ids may have slashes.
     catalog.router,
     accounts.router,

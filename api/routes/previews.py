@@ -33,7 +33,7 @@ from core.jobs.job import Artifact
 from core.jobs.queue import looks_at_models
 from core.jobs.resolved import model_of, resolve_environment
 from core.jobs.spec import EnvironmentSpec
-from core.jobs.submission import check_readable_model
+from core.jobs.submission import check_readable_uploads
 from core.previews import library
 from core.previews.record import Preview, PreviewRequest, Still
 from core.rendering.layout import camera_choices, model_camera
@@ -151,7 +151,7 @@ def _wanted(
     catalog.find(environment_id)
     environment = EnvironmentSpec(id=environment_id, options=parse_options(asked.options))
     try:
-        check_readable_model(environment, principal.readable, service.store)
+        check_readable_uploads(environment, principal.readable, service.store)
         info, options = resolve_environment(environment, service.store)
         cameras = camera_choices(info.cameras)
         camera = None if asked.camera is None else _camera(asked.camera, info.cameras)

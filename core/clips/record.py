@@ -1,15 +1,21 @@
 """A file of clips that users send, and what a worker found in it."""
 
 import hashlib
+from collections.abc import Sequence
 
 from core.documents import Stored
 from core.errors import BadClips, ClipsInUse, ClipsNotFound
 from core.storage import keys
 from core.uploads.record import Upload, UploadKind, UploadStore
 
+# What a worker makes of a file: the clips as trainings read them, and a replay of some with its scene.
+ARCHIVE, REPLAY, SCENE = "clips.npz", "replay.bin", "scene.glb"
+MOST_REPLAYED = 32
+
 
 class ClipFacts(Stored):
-    """One clip. rate: frames per second. seconds: from its first frame to its last."""
+    """One clip. rate: frames per second. seconds: from its first frame to its last. warnings: what may be
+    wrong with it."""
 
     name: str
     num_frames: int
@@ -18,14 +24,24 @@ class ClipFacts(Stored):
     warnings: list[str] = []
 
 
+class MadeFile(Stored):
+    """A file that a worker made of the one that was sent. size: bytes."""
+
+    sha256: str
+    size: int
+
+
 class ClipsDescription(Stored):
     """The contents of a file. format: how it is laid out. joints: those that the clips move, by their
-    names in the body's model. num_replays: how many of the clips, from the first on, can be looked at."""
+    names in the body's model. made: files made of it, by name. num_replayed: how many of the clips, from the
+    first on, its replay shows. no_replay: why there is none."""
 
     format: str
     clips: list[ClipFacts]
     joints: list[str]
-    num_replays: int = 0
+    made: dict[str, MadeFile] = {}
+    num_replayed: int = 0
+    no_replay: str | None = None
 
 
 class ClipFile(Upload):
@@ -51,6 +67,11 @@ def clips_id(sha256: str, body: str, rate: float | None) -> str:
     return f"sha256:{hashlib.sha256(said.encode()).hexdigest()}"
 
 
+def _made(record: ClipFile) -> Sequence[str]:
+    names = () if record.description is None else record.description.made
+    return [keys.made_of_clips(record.id, name) for name in names]
+
+
 CLIPS = UploadKind(
     name="clips",
     record=ClipFile,
@@ -61,6 +82,6 @@ CLIPS = UploadKind(
     missing=ClipsNotFound,
     unusable=BadClips,
     in_use=ClipsInUse,
-    made=lambda record: [keys.clip_archive(record.id)] if record.status == "ready" else [],
+    made=_made,
 )
 ClipStore = UploadStore[ClipFile]

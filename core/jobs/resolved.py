@@ -21,7 +21,7 @@ from core.environments.terms.task import task_slices
 from core.errors import EnvironmentNotFound, ModelNotFound, Problem, Rejected
 from core.jobs.job import Job
 from core.jobs.spec import Accelerator, EnvironmentSpec, JobSpec, TrainSpec
-from core.jobs.uploads import Uploads
+from core.jobs.uploads import Uploads, check_clips
 from core.physics.availability import EngineName, beyond
 from core.uploads import library
 from core.user_models.record import Description
@@ -79,7 +79,8 @@ def resolve_environment(
 ) -> tuple[EnvironmentInfo, Strict]:
     """The environment's row of the catalog under these options, and the options with defaults filled in.
 
-    uploads: without it, the row of a user's own model lacks what depends on the model. Raises Rejected.
+    uploads: without it, the row of a user's own model lacks what depends on the model, and clips are not
+    looked at. Raises Rejected.
     """
     try:
         info, options = catalog.resolve(environment.id, environment.options)
@@ -87,6 +88,8 @@ def resolve_environment(
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
     if uploads is not None and isinstance(options, MjcfOptions):
         info = _row_of(info, options, own_model(options, uploads))
+    if uploads is not None:
+        check_clips(environment, info, uploads)
     return info, options
 
 

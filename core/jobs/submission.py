@@ -4,7 +4,7 @@ The queue gets a submitted job once the record has it; an imported run has ended
 and its record last.
 """
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from threading import Lock, Timer
@@ -19,7 +19,7 @@ from core.errors import (
     GaitwayError,
     JobNotFound,
     JobUnreadable,
-    ModelNotFound,
+    NotFound,
     Problem,
     RecordsUnavailable,
     Rejected,
@@ -33,11 +33,12 @@ from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
 from core.jobs.quotas import check_quotas
 from core.jobs.spec import CheckpointPolicy, EnvironmentSpec, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import Chunk, Dispatch, Entry, Idempotency, JobStore
-from core.jobs.uploads import Uploads
+from core.jobs.uploads import Uploads, named_clips
 from core.news.store import NewsStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.uploads import library
+from core.uploads.record import Record, UploadStore
 
 log = structlog.get_logger()
 
@@ -84,11 +85,11 @@ def new_job(
 ) -> Job:
     """The job of a submission, checked and not stored yet. Raises Rejected.
 
-    readable: the projects whose checkpoints and models it may use; None: all.
+    readable: the projects whose checkpoints, models and clips it may use; None: all.
     """
     check_readable_source(spec, readable, store)
     spec = completed(with_environment(spec, store))
-    check_readable_model(spec.environment, readable, store)
+    check_readable_uploads(spec.environment, readable, store)
     check(spec, store)
     now = store.now()
     return Job(
@@ -130,22 +131,34 @@ def check_readable_source(spec: JobSpec, readable: Collection[str] | None, store
             raise Rejected(detail, [Problem(f"{source.pointer}/job", detail)])
 
 
-def check_readable_model(
+def check_readable_uploads(
     environment: EnvironmentSpec, readable: Collection[str] | None, store: Uploads
 ) -> None:
-    """Refuse a model of other projects, in the words for one that does not exist."""
-    model = environment.options.get("model")
-    if readable is None or not isinstance(model, str):
+    """Refuse a model or clips of other projects, in the words for those that do not exist."""
+    if readable is None:
         return
-    try:
-        library.find(model, store.models)
-    except ModelNotFound:  # The check of the options says so.
+    problems: list[Problem] = []
+    if isinstance(model := environment.options.get("model"), str):
+        problems += _hidden(model, store.models, readable, "model")
+    for place, file in named_clips(environment):
+        problems += _hidden(file, store.clips, readable, f"reference/clips/{place}/file")
+    if problems:
+        raise Rejected(" ".join(problem.detail for problem in problems[:5]), problems)
+
+
+def _hidden(
+    upload_id: str, store: UploadStore[Record], readable: Collection[str], place: str
+) -> Iterator[Problem]:
+    """The problem with a file that exists, and that none of these projects has.
+
+    A deleted one that a job still needs is in no project.
+    """
+    owners = store.owners_of([upload_id]).get(upload_id, ())
+    if any(one.project in readable for one in owners):
         return
-    # A deleted model that a job still needs is in no project.
-    owners = store.models.owners_of([model]).get(model, ())
-    if not any(one.project in readable for one in owners):
-        detail = ModelNotFound(model).detail
-        raise Rejected(detail, [Problem("/environment/options/model", detail)])
+    with suppress(NotFound):  # The check of the options says so.
+        library.find(upload_id, store)
+        yield Problem(f"/environment/options/{place}", store.kind.missing(upload_id).detail)
 
 
 def completed(spec: JobSpec) -> JobSpec:

@@ -1,10 +1,15 @@
 """The files that users sent and that jobs name."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol, cast
 
-from core.clips.record import ClipStore
+from core.clips.options import ClipChoice
+from core.clips.record import ClipFile, ClipStore
+from core.environments.info import EnvironmentInfo
+from core.errors import ClipsNotFound, Problem, Rejected
 from core.jobs.spec import EnvironmentSpec
+from core.patterns import matching
+from core.uploads import library
 from core.user_models.record import ModelStore
 
 
@@ -36,6 +41,68 @@ def named_clips(environment: EnvironmentSpec) -> Iterator[tuple[int, str]]:
     for place, choice in enumerate(cast("list[object]", choices) if isinstance(choices, list) else ()):
         if isinstance(file := _member(choice, "file"), str):
             yield place, file
+
+
+def check_clips(environment: EnvironmentSpec, info: EnvironmentInfo, uploads: Uploads) -> None:
+    """Refuse clips that do not exist, are not validated yet, move another body, or lack what the job names.
+
+    info: the environment's row under its options. Raises Rejected.
+    """
+    reference: object = getattr(info.option_values, "reference", None)
+    choices: Sequence[ClipChoice] = getattr(reference, "clips", ())
+    problems = [
+        Problem(f"/environment/options/reference/clips/{place}/{field}", detail)
+        for place, choice in enumerate(choices)
+        for field, detail in _clip_problems(choice, environment, info, uploads.clips)
+    ]
+    if problems:
+        raise Rejected(" ".join(problem.detail for problem in problems[:5]), problems)
+
+
+def _clip_problems(
+    choice: ClipChoice, environment: EnvironmentSpec, info: EnvironmentInfo, store: ClipStore
+) -> Iterator[tuple[str, str]]:
+    """The field of each problem, and a sentence."""
+    try:
+        record = library.find(choice.file, store)
+    except ClipsNotFound as error:
+        yield "file", error.detail
+        return
+    if record.status == "refused":
+        yield "file", f"The clips {record.id} were refused: {record.message}"
+    elif record.description is None:
+        yield "file", f"The clips {record.id} are still being validated; ask GET /clips/{record.id}."
+    else:
+        yield from _misfits(record, record.description.joints, environment, info)
+        clips = record.description.clips
+        names = [clip.name for clip in clips]
+        wanted = names if choice.names is None else matching(choice.names, names)
+        for pattern in choice.names or ():
+            if not matching([pattern], names):
+                known = ", ".join(names[:20])
+                yield "names", f"No clip of {record.id} is called {pattern!r}; it has {known}."
+        for clip in clips:
+            if clip.name in wanted and max(choice.from_s, choice.to_s or 0.0) > clip.seconds:
+                past = "from_s" if choice.from_s > clip.seconds else "to_s"
+                yield (
+                    past,
+                    f"{past} is past the end of the clip {clip.name!r}, which lasts {clip.seconds:g} s.",
+                )
+
+
+def _misfits(
+    record: ClipFile, joints: Sequence[str], environment: EnvironmentSpec, info: EnvironmentInfo
+) -> Iterator[tuple[str, str]]:
+    body = environment.options.get("model") if info.takes_model else environment.id
+    if record.body == body:
+        return
+    known = info.parts.get("joints", ())
+    if missing := [joint for joint in joints if joint not in known]:
+        named = ", ".join(missing[:5])
+        yield (
+            "file",
+            f"The clips {record.id} are of the body {record.body}, and {body} has no joints called {named}.",
+        )
 
 
 def _member(document: object, name: str) -> object:

@@ -7,8 +7,7 @@ jobs/<id>/<channel>/<first>-<hash>.jsonl       a finished part of a feed, from e
 jobs/<id>/metrics/<first>-<hash>.msgpack       the same for metrics, in columns
 models/<hash>/source                           a user's own model, as it was sent
 clips/<hash>/source                            a file of clips, as it was sent
-clips/<hash>/clips.npz                         what a worker read in it
-clips/<hash>/replay-<n>                        one of its clips to look at
+clips/<hash>/<name>                            what a worker made of it: its clips, a replay and its scene
 previews/<whose>/<hash>/<when>/about.json      which stills were drawn, or why none; written last
 previews/<whose>/<hash>/<when>/still-<n>.png   the stills; previews may be lost without harm
 caches/<machine>/<environment>/<when>/<name>   programs compiled on this kind of machine; may be lost too
@@ -80,13 +79,8 @@ def clip_file_source(file_id: str) -> str:
     return f"{clip_file(file_id)}source"
 
 
-def clip_archive(file_id: str) -> str:
-    return f"{clip_file(file_id)}clips.npz"
-
-
-def clip_replay(file_id: str, number: int) -> str:
-    """number: of the clip in the file."""
-    return f"{clip_file(file_id)}replay-{number}"
+def made_of_clips(file_id: str, name: str) -> str:
+    return f"{clip_file(file_id)}{name}"
 
 
 def previews() -> str:

@@ -23,7 +23,7 @@ from core.jobs.quotas import check_quotas
 from core.jobs.source import source_artifact
 from core.jobs.spec import JobSpec
 from core.jobs.store import Idempotency
-from core.jobs.submission import check_notify, check_readable_model, check_readable_source
+from core.jobs.submission import check_notify, check_readable_source, check_readable_uploads
 from core.sweeps.axes import axis_place, ends, job_of
 from core.sweeps.checks import check_budget, check_labels, checked, in_the_job
 from core.sweeps.spec import Budget, Range, SweepSpec
@@ -46,8 +46,8 @@ def submit_sweep(
 ) -> Sweep:
     """Store the sweep; the reconciler starts its trials. Or return the one that the same key created.
 
-    An owner's sweep uses checkpoints and models of its own project alone, because its trials start when
-    nobody is there to ask. Raises Rejected, QuotaExceeded, TooManySweeps,
+    An owner's sweep uses checkpoints, models and clips of its own project alone, because its trials start
+    when nobody is there to ask. Raises Rejected, QuotaExceeded, TooManySweeps,
     IdempotencyKeyReused, RecordsUnavailable.
     """
     _check_readable(spec, readable_by(ownership), store)
@@ -79,7 +79,7 @@ def _most_urgent(spec: SweepSpec) -> JobSpec:
 
 
 def _check_readable(spec: SweepSpec, readable: Collection[str] | None, store: SweepStore) -> None:
-    """Refuse checkpoints and models of other projects, in the job and in the values of its axes."""
+    """Refuse checkpoints, models and clips of other projects, in the job and in the values of its axes."""
     if readable is None:
         return
     try:
@@ -100,11 +100,11 @@ def _check_readable(spec: SweepSpec, readable: Collection[str] | None, store: Sw
 
 def _check_readable_job(job: JobSpec, readable: Collection[str], store: SweepStore) -> None:
     check_readable_source(job, readable, store)
-    check_readable_model(job.environment, readable, store)
+    check_readable_uploads(job.environment, readable, store)
 
 
 def readable_by(ownership: Ownership) -> frozenset[str] | None:
-    """The projects whose checkpoints and models the trials may use; None: all."""
+    """The projects whose checkpoints, models and clips the trials may use; None: all."""
     return None if ownership.owner is None else frozenset({ownership.project})
 
 

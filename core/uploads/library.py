@@ -50,7 +50,7 @@ def add(  # noqa: PLR0913 # All but the file are named.
         known = None
     if known is not None and known.status != "refused":
         store.claim(record.id, ownership)
-        if record.name in (None, known.name) or not _may_rename(record.id, sender, store):
+        if record.name in (None, known.name) or not may_rename(record.id, sender, store):
             return known
         store.rename(record.id, str(record.name))
         return known.model_copy(update={"name": record.name})
@@ -63,7 +63,8 @@ def add(  # noqa: PLR0913 # All but the file are named.
     return record
 
 
-def _may_rename(upload_id: str, sender: Principal, store: UploadStore[Record]) -> bool:
+def may_rename(upload_id: str, sender: Principal, store: UploadStore[Record]) -> bool:
+    """Whether it is the sender's in all projects, or the sender is an admin."""
     return all(sender.may_change(one.owner) for one in store.owners_of([upload_id]).get(upload_id, ()))
 
 

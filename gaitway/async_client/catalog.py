@@ -1,4 +1,4 @@
-"""Users' own models, stills of bodies, environments, and the service itself."""
+"""Users' own models and clips, stills of bodies, environments, and the service itself."""
 
 import json
 import time
@@ -14,10 +14,23 @@ from gaitway.addresses import POLL_S
 from gaitway.async_client.connection import AsyncConnection
 from gaitway.concurrency import async_sleep
 from gaitway.errors import Rejected, WaitTimeout
-from gaitway.schema import EnvironmentDetails, ModelView, PreviewView, SlotsView, UsageView, WorkerView
+from gaitway.schema import (
+    ClipFileView,
+    EnvironmentDetails,
+    ModelView,
+    PreviewView,
+    SlotsView,
+    UsageView,
+    WorkerView,
+)
 
 # As the service allows.
 _LONGEST_NAME = 100
+
+
+def _name_of(file: Path) -> str | None:
+    """The service takes no control characters, and only so many others."""
+    return "".join(sign for sign in file.name if sign.isprintable())[:_LONGEST_NAME] or None
 
 
 class AsyncCatalog(AsyncConnection):
@@ -43,11 +56,9 @@ class AsyncCatalog(AsyncConnection):
         body = file.read_bytes()
         deadline = time.monotonic() + timeout
         headers = {"Content-Type": "application/zip" if body.startswith(b"PK") else "application/xml"}
-        if name is None:  # The service takes no control characters, and only so many others.
-            name = "".join(sign for sign in file.name if sign.isprintable())[:_LONGEST_NAME] or None
         params = {
             key: value
-            for key, value in (("name", name), ("main", main), ("project", project))
+            for key, value in (("name", name or _name_of(file)), ("main", main), ("project", project))
             if value is not None
         }
         model = await self._post("/models", ModelView, content=body, headers=headers, params=params)
@@ -77,6 +88,66 @@ class AsyncCatalog(AsyncConnection):
     async def delete_model(self, model_id: str) -> None:
         """Remove a model. Raises Conflict while an unfinished job needs it."""
         await self._request("DELETE", f"/models/{quote(model_id, safe=':')}")
+
+    async def add_clips(  # How the file is to be read.
+        self,
+        path: str | Path,
+        body: str,
+        timeout: float = 120.0,
+        *,
+        rate: float | None = None,
+        name: str | None = None,
+        project: str | None = None,
+    ) -> ClipFileView:
+        """Send a file of clips, recordings of a body's motion, and wait until it is validated.
+
+        body: whose they are, an environment such as `g1`, or a model of your own by its id. rate: frames per
+        second, for a file that does not say. name, project, timeout, Raises: as for `add_model`.
+        """
+        file, deadline = Path(path), time.monotonic() + timeout
+        params = {"name": name or _name_of(file), "body": body, "rate": rate, "project": project}
+        params = {key: value for key, value in params.items() if value is not None}
+        headers = {"Content-Type": "application/octet-stream"}
+        clips = await self._post(
+            "/clips", ClipFileView, content=file.read_bytes(), headers=headers, params=params
+        )
+        while clips.status == "validating":
+            if time.monotonic() > deadline:
+                raise WaitTimeout(
+                    f"No worker has read the clips {clips.id} after {timeout:g} s; one that trains reads them"
+                    " after its job. The service keeps them: `gaitway clips show` tells when they are ready."
+                )
+            await async_sleep(POLL_S)
+            clips = await self.clip_file(clips.id)
+        if clips.status == "refused":
+            raise Rejected(422, {"detail": clips.message, "type": "/problems/bad-clips"})
+        return clips
+
+    async def clip_file(self, clips_id: str) -> ClipFileView:
+        """A file of clips with what is in it."""
+        return await self._get(f"/clips/{quote(clips_id, safe=':')}", ClipFileView)
+
+    def clip_files(self, *, limit: int | None = None, name: str | None = None) -> AsyncIterator[ClipFileView]:
+        """Files of clips, the last sent first, fetched page by page as needed; at most `limit`.
+
+        name: only those of this name.
+        """
+        return self._all("/clips", ClipFileView, limit, {"name": name} if name is not None else {})
+
+    async def rename_clips(self, clips_id: str, name: str) -> ClipFileView:
+        """Give a file of clips another name. Raises Rejected where others have it, too."""
+        path = f"/clips/{quote(clips_id, safe=':')}"
+        headers = {"Content-Type": "application/merge-patch+json"}
+        answer = await self._request("PATCH", path, content=json.dumps({"name": name}), headers=headers)
+        return ClipFileView.model_validate_json(answer.content)
+
+    async def clips_content(self, clips_id: str) -> bytes:
+        """The file as it was sent."""
+        return (await self._request("GET", f"/clips/{quote(clips_id, safe=':')}/file")).content
+
+    async def delete_clips(self, clips_id: str) -> None:
+        """Remove a file of clips. Raises Conflict while an unfinished job needs it."""
+        await self._request("DELETE", f"/clips/{quote(clips_id, safe=':')}")
 
     async def preview(  # noqa: PLR0913 # A request's options.
         self,

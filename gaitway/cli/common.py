@@ -103,6 +103,21 @@ def model_id(client: Client, name: str) -> str:
     return found[0].id
 
 
+def clips_id(client: Client, name: str) -> str:
+    """The id of the file of clips of this name, the last sent of several. Raises typer.Exit(2) if there is
+    none."""
+    if name.startswith("sha256:"):
+        return name
+    found = list(client.clip_files(name=name, limit=2))
+    if not found:
+        raise wrong_usage(f"No clips are called {name!r}; `gaitway clips list` shows names and ids.")
+    if len(found) > 1:
+        complain(
+            f"Several files of clips are called {name!r}; this is the last that was sent, {found[0].id}."
+        )
+    return found[0].id
+
+
 def name_to_model(client: Client, options: Any) -> None:
     """Put the id of a model in the place of its name, among an environment's options."""
     if isinstance(options, dict) and isinstance(name := cast("dict[str, Any]", options).get("model"), str):

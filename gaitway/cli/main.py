@@ -9,6 +9,7 @@ from gaitway.cli import (
     accounts,
     battery,
     changes,
+    clips,
     compare,
     environments,
     files,
@@ -97,5 +98,6 @@ app.add_typer(retention.retention, name="retention")
 app.add_typer(quotas.quotas, name="quotas")
 app.add_typer(webhooks.webhooks, name="webhooks")
 app.add_typer(models.models, name="models")
+app.add_typer(clips.clips, name="clips")
 app.add_typer(sweeps.sweeps, name="sweeps")
 service.add_commands(app)

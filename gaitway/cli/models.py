@@ -39,7 +39,7 @@ def add(
 ) -> None:
     """Send a model, and show what is in it once it is validated."""
     client = client_of(context)
-    if wait := what_a_model_waits_for(list(client.workers())):
+    if wait := what_it_waits_for(list(client.workers())):
         Console(stderr=True).print(Text(wait), soft_wrap=True)
     _told(client.add_model(file, name=name, main=main, project=project), as_json)
 
@@ -88,17 +88,17 @@ def delete(context: typer.Context, model: ModelName) -> None:
     print(f"Model {found} is deleted.")
 
 
-def what_a_model_waits_for(workers: Sequence[WorkerView]) -> str | None:
-    """A sentence if no worker can read a model soon; None if one is free."""
+def what_it_waits_for(workers: Sequence[WorkerView], what: str = "the model") -> str | None:
+    """A sentence if no worker can read what was sent soon; None if one is free."""
     if not workers:
-        return "No worker runs; the model waits until one does."
+        return f"No worker runs; {what} waits until one does."
     if any(not worker.job and not worker.jobs for worker in workers):
         return None
     first = workers[0]
     job = first.job or first.jobs[0]
     who = "The only worker is" if len(workers) == 1 else f"All {len(workers)} workers are"
     return (
-        f"{who} busy ({first.name} with job {job}): a worker reads the model after its job, "
+        f"{who} busy ({first.name} with job {job}): a worker reads {what} after its job, "
         "before those that wait."
     )
 

@@ -19,6 +19,9 @@ from gaitway.schema.accounts import (
 )
 from gaitway.schema.base import FINAL_STATUSES, View
 from gaitway.schema.catalog import (
+    ClipFileView,
+    ClipsContents,
+    ClipView,
     DeviceUsageView,
     EnvironmentDetails,
     EnvironmentView,
@@ -59,6 +62,9 @@ __all__ = [
     "ArtifactView",
     "AttemptView",
     "AuditView",
+    "ClipFileView",
+    "ClipView",
+    "ClipsContents",
     "DeliveryView",
     "DeviceUsageView",
     "EnvironmentDetails",

@@ -1,5 +1,5 @@
-"""Environments and users' own models, which a job may name; their stills; the workers that run jobs, how many
-are wanted, and what was used."""
+"""Environments, users' own models and clips, which a job may name; stills; the workers that run jobs, how
+many are wanted, and what was used."""
 
 from collections.abc import Mapping
 from datetime import datetime
@@ -11,8 +11,8 @@ from gaitway.schema.base import (
     Device,
     EngineName,
     ModelContents,
-    ModelStatus,
     PreviewStatus,
+    UploadStatus,
     View,
     WorkerState,
 )
@@ -90,7 +90,7 @@ class ModelView(View):
     name: str | None = None
     owner: str | None = Field(None, description="Who sent it to the project; null without accounts.")
     project: str = "default"
-    status: ModelStatus
+    status: UploadStatus
     media_type: str = ""
     size: int = 0
     created_at: datetime
@@ -108,6 +108,47 @@ class ModelView(View):
             return None
         options = {"model": self.id, **recipe}
         return {"kind": "train", "environment": {"id": "mjcf", "options": options}, "battery": True}
+
+
+class ClipView(View):
+    """A clip. rate: frames per second; seconds: from its first frame to its last; warnings: what may be wrong
+    with it."""
+
+    name: str
+    num_frames: int = 0
+    rate: float = 0.0
+    seconds: float = 0.0
+    warnings: list[str] = []
+
+
+class ClipsContents(View):
+    """What is in a file of clips. format: how it is laid out; joints: those that the clips move.
+    num_replayed: how many of the clips its replay shows, each as an episode; no_replay: why there is none."""
+
+    format: str = ""
+    clips: list[ClipView] = []
+    joints: list[str] = []
+    num_replayed: int = 0
+    no_replay: str | None = None
+
+
+class ClipFileView(View):
+    """A file of clips. body: whose they are; rate: as it was sent. description: set once it is `ready`;
+    message: why it was `refused`; size: bytes."""
+
+    id: str
+    name: str | None = None
+    owner: str | None = Field(None, description="Who sent it to the project; null without accounts.")
+    project: str = "default"
+    status: UploadStatus
+    body: str = ""
+    rate: float | None = None
+    media_type: str = ""
+    size: int = 0
+    created_at: datetime
+    description: ClipsContents | None = None
+    message: str | None = None
+    links: dict[str, str] = {}
 
 
 class StillView(View):

@@ -17,7 +17,7 @@ import mujoco
 import pytest
 from typer.testing import CliRunner
 
-from api.routes import models as route
+from api import uploads as route
 from core.environments.mjcf.archive import examine
 from core.environments.terms.describe import inventory
 from core.jobs.reconciliation import Reconciler

@@ -20,7 +20,7 @@ from core.storage import keys
 from core.sweeps.controller import SweepController
 from gaitway import Client, Conflict, NotFound, NotReady, Rejected, WaitTimeout
 from gaitway.cli.main import app
-from gaitway.cli.models import what_a_model_waits_for
+from gaitway.cli.models import what_it_waits_for
 from gaitway.cli.submit import JOB_FIELDS
 from gaitway.schema import WorkerView
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
@@ -377,12 +377,12 @@ def test_who_sends_a_model_is_told_at_once_what_it_waits_for(stack: Stack, tmp_p
     assert told == ["No worker runs; the model waits until one does.\n", ""]
     seen = {"started_at": datetime.now(UTC), "seen_at": datetime.now(UTC)}
     busy = WorkerView(name="gpu-1", job="j1", **seen)
-    assert what_a_model_waits_for([busy]) == (
+    assert what_it_waits_for([busy]) == (
         "The only worker is busy (gpu-1 with job j1): a worker reads the model after its job, "
         "before those that wait."
     )
-    assert "All 2 workers are busy (gpu-1 with job j1)" in str(what_a_model_waits_for([busy, busy]))
-    assert what_a_model_waits_for([busy, WorkerView(name="gpu-2", **seen)]) is None
+    assert "All 2 workers are busy (gpu-1 with job j1)" in str(what_it_waits_for([busy, busy]))
+    assert what_it_waits_for([busy, WorkerView(name="gpu-2", **seen)]) is None
 
 
 def test_a_client_waits_for_its_stills_while_workers_are_busy(

@@ -1,19 +1,22 @@
-"""The files of a training process's start: its task, a verified checkpoint, and the user's own model."""
+"""The files of a training process's start: its task, a verified checkpoint, and what users sent: the
+model and clips."""
 
 from pathlib import Path
 from typing import get_args
 
 from core.algorithms.catalog import reported
+from core.clips.record import ARCHIVE
 from core.environments import catalog
 from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.info import INFO as MJCF
 from core.environments.mjcf.info import MjcfOptions
-from core.errors import JobFailed, ModelNotFound, ObjectDamaged, ObjectNotFound
+from core.errors import ClipsNotFound, JobFailed, ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs.attempts import Claim
 from core.jobs.job import Artifact, Attempt, Job
 from core.jobs.resolved import engines_that_cannot, model_of
 from core.jobs.source import source_artifact
 from core.jobs.spec import RolloutSpec, TrainSpec
+from core.jobs.uploads import clip_files_of
 from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.storage import keys
@@ -29,8 +32,8 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
     """Write what the training process needs to the spool; returns notes for users on what was wrong with it.
 
     Raises Rejected or NotFound if the checkpoint of another job has been deleted meanwhile, or if the job
-    names what this worker does not have; JobFailed if the model has been deleted ("bad_model"), or if no
-    checkpoint of another job is whole ("bad_checkpoint").
+    names what this worker does not have; JobFailed if the model or clips have been deleted ("bad_model",
+    "bad_clips"), or if no checkpoint of another job is whole ("bad_checkpoint").
     """
     notes: list[str] = []
     task = Task(
@@ -50,7 +53,7 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
         task = task.model_copy(update={"checkpoint": _FILE, "checkpoint_step": checkpoint.step or 0})
     best = (_best_so_far(job, seed, claim, spool, notes) for seed in job.seeds or (None,))
     task = task.model_copy(update={"best": tuple(filter(None, best))})
-    task = _with_model(task, claim, spool)
+    task = _with_clips(_with_model(task, claim, spool), claim, spool)
     (spool / "task.json").write_text(task.model_dump_json())
     return notes
 
@@ -177,3 +180,26 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
     known = {"engines_that_cannot": dict(engines_that_cannot(described, options))}
     body = None if described is None else edited(described.inventory, options.edits).body_size
     return task.model_copy(update={"model": "model", "body": body, **known})
+
+
+def _with_clips(task: Task, claim: Claim, spool: Path) -> Task:
+    paths: dict[str, str] = {}
+    for number, file_id in enumerate(clip_files_of(task.spec.environment)):
+        paths[file_id] = f"clips-{number}.npz"
+        try:
+            record = library.find(file_id, claim.store.clips)
+            archive = None if record.description is None else record.description.made.get(ARCHIVE)
+            if archive is None:
+                raise JobFailed(Reason.BAD_CLIPS, f"The clips {file_id} cannot be used: {record.message}")
+            key = keys.made_of_clips(file_id, ARCHIVE)
+            save_whole(key, archive.sha256, claim.objects, spool / paths[file_id], archive.size)
+        except ObjectDamaged as error:
+            detail = f"The clips {file_id} are damaged: {error.why}. Delete them, and send them again."
+            raise JobFailed(Reason.BAD_CLIPS, detail) from None
+        except ObjectNotFound:
+            detail = f"The clips {file_id} have gone from the object store. Delete them, and send them again."
+            raise JobFailed(Reason.BAD_CLIPS, detail) from None
+        except ClipsNotFound:
+            detail = f"The clips {file_id} were deleted before the job began."
+            raise JobFailed(Reason.BAD_CLIPS, detail) from None
+    return task.model_copy(update={"clips": paths})

@@ -65,7 +65,8 @@ class BuiltEnvironment:
     """An environment, its engine and the reason for that.
 
     job: resolved; of a user's own model it has the names of an observation's and an action's numbers alone.
-    num_devices: how many share a training. commit: of the code. model: the file of a user's own.
+    num_devices: how many share a training. commit: of the code. model: the file of a user's own. clips: the
+    files of a reference, by their ids.
     """
 
     job: ResolvedJob
@@ -77,6 +78,7 @@ class BuiltEnvironment:
     num_devices: int = 1
     commit: str | None = None
     model: Path | None = None
+    clips: Mapping[str, Path] | None = None
 
     @property
     def info(self) -> EnvironmentInfo:
@@ -106,7 +108,7 @@ class BuiltEnvironment:
 
     def made_on(self, engine: EngineName, options: Strict) -> Environment:
         """The body under these options, on another engine. Raises JobFailed."""
-        return catalog.make(self.info, options, engine_builder(engine), self.model)
+        return catalog.make(self.info, options, engine_builder(engine), self.model, self.clips)
 
     def started(self, **details: Any) -> Started:
         """The facts on this attempt for the job's record."""
@@ -171,6 +173,7 @@ def build_environment(task: Task) -> BuiltEnvironment:
         num_devices,
         task.commit,
         _model_of(task),
+        _clips_of(task),
     )
 
 
@@ -197,7 +200,7 @@ def _made(task: Task, job: ResolvedJob, engine: EngineName) -> Environment:
     if engine == "compiled":
         keep_machine_code()
     model = _model_of(task)
-    environment = catalog.make(job.info, job.options, engine_builder(engine), model)
+    environment = catalog.make(job.info, job.options, engine_builder(engine), model, _clips_of(task))
     environment = randomize(environment, task.spec.randomization)
     if model is not None:
         # Only a reset shows whether the engine has what the job randomises.
@@ -208,6 +211,11 @@ def _made(task: Task, job: ResolvedJob, engine: EngineName) -> Environment:
 def _model_of(task: Task) -> Path | None:
     """The file of the user's own model; it is in the spool, our working directory."""
     return Path(task.model).absolute() if task.model else None
+
+
+def _clips_of(task: Task) -> Mapping[str, Path]:
+    """The files of the job's reference, by their ids; they are in the spool, too."""
+    return {file_id: Path(path).absolute() for file_id, path in task.clips.items()}
 
 
 def _may_take_another(task: Task, choice: EngineChoice, failed: JobFailed) -> bool:

@@ -1,7 +1,7 @@
-"""`python -m worker.validation FOLDER HOW LIMITS…`: examine the file `model` in the folder.
+"""`python -m worker.validation WHAT FOLDER HOW LIMITS…`: examine the file in the folder that is called WHAT.
 
-Writes `answer.json` there, and again with each new finding. HOW: `confined`, or `unconfined`, which does
-without the layers that the kernel refuses.
+WHAT: `model` or `clips`. Writes `answer.json` there, and again with each new finding. HOW:
+`confined`, or `unconfined`, which does without the layers that the kernel refuses.
 """
 
 import os
@@ -13,9 +13,9 @@ from worker.host.processes import die_with_parent
 
 
 def main() -> None:
-    folder, how = Path(sys.argv[1]), sys.argv[2]
+    what, folder, how = sys.argv[1], Path(sys.argv[2]), sys.argv[3]
     try:
-        layers = confine(Limits.of(sys.argv[3:]), folder, strictly=how != "unconfined")
+        layers = confine(Limits.of(sys.argv[4:]), folder, strictly=how != "unconfined")
     except Unconfined as error:
         refusal = (
             "This worker's system cannot confine the process that reads models, so it reads none "
@@ -24,7 +24,7 @@ def main() -> None:
         _say_plainly(folder, refusal)
         return
     die_with_parent()  # Last: a change of user or privileges would undo it.
-    _look(folder, layers)
+    _look(what, folder, layers)
 
 
 def _say_plainly(folder: Path, refusal: str) -> None:
@@ -34,24 +34,32 @@ def _say_plainly(folder: Path, refusal: str) -> None:
     (folder / "answer.json").write_text(json.dumps({"refusal": refusal}))
 
 
-def _look(folder: Path, layers: tuple[Layer, ...]) -> None:
+def _look(what: str, folder: Path, layers: tuple[Layer, ...]) -> None:
     # Imported only now, so that all they load is confined.
     from core.errors import GaitwayError
-    from worker.validation.answer import ModelAnswer
-    from worker.validation.findings import findings
+    from worker.validation.answer import ClipsAnswer, ModelAnswer
 
-    def say(answer: ModelAnswer) -> None:
+    kind = ModelAnswer if what == "model" else ClipsAnswer
+
+    def say(answer: ModelAnswer | ClipsAnswer) -> None:
         part = folder / "answer.part"
         part.write_text(answer.model_copy(update={"layers": layers}).model_dump_json())
         os.replace(part, folder / "answer.json")
 
     try:
-        for description in findings(folder / "model"):
-            say(ModelAnswer(description=description))
+        if what == "model":
+            from worker.validation.findings import findings
+
+            for description in findings(folder / "model"):
+                say(ModelAnswer(description=description))
+        else:
+            from worker.validation.clip_findings import clip_findings
+
+            say(ClipsAnswer(description=clip_findings(folder)))
     except GaitwayError as error:
-        say(ModelAnswer(refusal=error.detail))
+        say(kind(refusal=error.detail))
     except MemoryError:
-        say(ModelAnswer(refusal="The model takes more memory than a model may."))
+        say(kind(refusal="It takes more memory than such a file may."))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Starts the confined process that examines a model."""
+"""Starts the confined process that examines a file of a user, and keeps what it says of a model."""
 
 import os
 import signal
@@ -17,6 +17,7 @@ from core.physics.availability import EngineName
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.uploads import library
+from core.uploads.record import KindName
 from core.user_models.record import MODELS, ModelStore
 from worker.confinement.confinement import Limits
 from worker.host.child import environment, kill, launch, tail
@@ -101,20 +102,14 @@ def look(
     """The first and the last answer of a confined process about the file; the reason if it gives none."""
     (folder / "model").write_bytes(body)
     said = folder / ANSWER
-    how = "confined" if strictly else "unconfined"
     with (folder / "log").open("w+b") as text:
-        child = launch(
-            [sys.executable, *_PROGRAM, str(folder), how, *limits.arguments()],
-            _environment(folder, data_dir),
-            stdout=text,
-            cwd=folder,
-        )
+        child = _started("model", folder, data_dir, limits, text, strictly=strictly)
         try:
             until, heard, why = time.monotonic() + limits.wall_s, False, _OUT_OF_TIME
             asks_at = float("inf")
             while (status := _ended(child)) is None and (now := time.monotonic()) < until:
                 if not heard and said.exists():
-                    first = read_answer(said)
+                    first = read_answer(said, ModelAnswer)
                     heard = True
                     until, asks_at = min(until, now + _TRIALS_S), now + _GIVES_WAY_AFTER_S
                     if first.description is not None:
@@ -127,6 +122,35 @@ def look(
         finally:
             kill(child)
         yield _answer(folder, status, limits, text, why)
+
+
+def run_to_its_end(
+    what: KindName, folder: Path, data_dir: Path, limits: Limits, *, strictly: bool = True
+) -> int | None:
+    """Have the confined process examine the file in the folder; its exit status, None if it took too long."""
+    with (folder / "log").open("w+b") as text:
+        child = _started(what, folder, data_dir, limits, text, strictly=strictly)
+        try:
+            status = child.wait(limits.wall_s)
+        except subprocess.TimeoutExpired:
+            status = None
+        finally:
+            kill(child)
+        if status != 0:
+            log.warning("file_not_understood", kind=what, status=status, text=tail(text, 1000))
+    return status
+
+
+def _started(
+    what: KindName, folder: Path, data_dir: Path, limits: Limits, text: IO[bytes], *, strictly: bool
+) -> "subprocess.Popen[bytes]":
+    how = "confined" if strictly else "unconfined"
+    return launch(
+        [sys.executable, *_PROGRAM, what, str(folder), how, *limits.arguments()],
+        _environment(folder, data_dir),
+        stdout=text,
+        cwd=folder,
+    )
 
 
 def _environment(folder: Path, data_dir: Path) -> dict[str, str]:
@@ -154,7 +178,7 @@ def _ended(child: "subprocess.Popen[bytes]") -> int | None:
 
 def _answer(folder: Path, status: int | None, limits: Limits, text: IO[bytes], why: str) -> ModelAnswer:
     """why: engines were not tried, if it had to be stopped."""
-    answer = read_answer(folder / ANSWER)
+    answer = read_answer(folder / ANSWER, ModelAnswer)
     if answer.refusal is not None or (answer.description is not None and status == 0):
         return answer
     if (said := answer.description) is not None:  # It compiles and moves: only the engines were too much.

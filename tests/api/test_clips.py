@@ -1,0 +1,156 @@
+"""Files of clips over HTTP, with the worker's part played by the test; and jobs that name them."""
+
+import hashlib
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import httpx
+import pytest
+
+from core.clips.record import (
+    ARCHIVE,
+    REPLAY,
+    SCENE,
+    ClipFacts,
+    ClipsDescription,
+    MadeFile,
+    clips_id,
+)
+from core.storage import keys
+from core.uploads import library
+from tests.api.conftest import Stack
+from tests.api.problems import problem
+
+FILE = b"0,0,0.5,0,0,0,1,0\n"
+MADE = {ARCHIVE: b"archive", REPLAY: b"replay", SCENE: b"scene"}
+DESCRIPTION = ClipsDescription(
+    format="csv",
+    clips=[
+        ClipFacts(name="walk", num_frames=101, rate=50.0, seconds=2.0, warnings=["A foot slides."]),
+        ClipFacts(name="turn", num_frames=51, rate=50.0, seconds=1.0),
+    ],
+    joints=["hip_1"],
+    made={
+        name: MadeFile(sha256=hashlib.sha256(body).hexdigest(), size=len(body)) for name, body in MADE.items()
+    },
+    num_replayed=2,
+)
+
+
+def send(http: httpx.Client, body: bytes = FILE, **sent: Any) -> httpx.Response:
+    headers = {"Content-Type": "application/octet-stream"}
+    return http.post("/clips", content=body, headers=headers, params={"body": "ant", **sent})
+
+
+@contextmanager
+def worker(stack: Stack, **found: Any) -> Iterator[None]:
+    """A worker that finds this in every file of clips."""
+    idle = threading.Event()
+
+    def work() -> None:
+        while not idle.is_set():
+            if sent := stack.queue.take_upload():
+                assert sent[0] == "clips"
+                record = library.find(sent[1], stack.store.clips)
+                for name, body in MADE.items():
+                    stack.objects.put(keys.made_of_clips(record.id, name), body)
+                stack.store.clips.settle(record.model_copy(update=found))
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        idle.set()
+        thread.join()
+
+
+@pytest.fixture
+def clips(stack: Stack) -> str:
+    """A file of clips of the ant that is ready."""
+    with worker(stack, status="ready", description=DESCRIPTION):
+        return send(stack.http).json()["id"]
+
+
+def job(*choices: dict[str, Any], environment: str = "ant") -> dict[str, Any]:
+    return {"kind": "train", "environment": {"id": environment, "options": {"reference": {"clips": choices}}}}
+
+
+def test_clips_are_answered_with_what_is_in_them(stack: Stack) -> None:
+    with worker(stack, status="ready", description=DESCRIPTION):
+        answer = send(stack.http, name="gaits", rate=50)
+        again = send(stack.http, rate=50)
+    assert (answer.status_code, again.status_code) == (201, 200)
+    document = answer.json()
+    sha256 = hashlib.sha256(FILE).hexdigest()
+    assert document["id"] == clips_id(sha256, "ant", 50.0)
+    assert answer.headers["location"] == f"/clips/{document['id']}" == document["links"]["self"]
+    assert (document["name"], document["body"], document["rate"]) == ("gaits", "ant", 50.0)
+    assert [clip["name"] for clip in document["description"]["clips"]] == ["walk", "turn"]
+    assert document["description"]["clips"][0]["warnings"] == ["A foot slides."]
+    assert stack.http.get(f"/clips/{document['id']}").json() == document == again.json()
+    assert stack.http.get("/clips", params={"name": "gaits"}).json()["items"] == [document]
+    assert stack.http.get(document["links"]["file"]).content == FILE
+    assert stack.http.get(document["links"]["replay"], headers={"Range": "bytes=1-3"}).content == b"epl"
+    assert stack.http.get(document["links"]["scene"]).headers["content-type"] == "model/gltf-binary"
+
+
+def test_the_same_bytes_of_another_body_or_at_another_rate_are_other_clips(stack: Stack) -> None:
+    with worker(stack, status="ready", description=DESCRIPTION):
+        ids = {send(stack.http, **sent).json()["id"] for sent in ({}, {"rate": 30}, {"body": "humanoid"})}
+    assert len(ids) == 3
+
+
+def test_refused_clips_are_answered_with_the_reason_and_leave_nothing(stack: Stack) -> None:
+    with worker(stack, status="refused", message="Frame 3 of `walk` has no number at the joint hip."):
+        document = problem(send(stack.http), 422, "bad-clips")
+    assert document["detail"] == "Frame 3 of `walk` has no number at the joint hip."
+    assert stack.http.get("/clips").json()["items"] == []
+    assert list(stack.objects.list(keys.clip_files())) == []
+
+
+@pytest.mark.parametrize(
+    ("sent", "detail"),
+    [
+        ({"body": "antt"}, "Did you mean 'ant'"),
+        ({"body": "mjcf"}, "give the id of the model"),
+        ({"body": f"sha256:{'0' * 64}"}, "There is no model"),
+        ({"rate": 0}, "greater than 0"),
+        ({"name": "a\nb"}, "name"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_before_a_worker_sees_it(
+    stack: Stack, sent: dict[str, Any], detail: str
+) -> None:
+    document = problem(send(stack.http, **sent), 422, "invalid-request")
+    assert detail in document["detail"]
+    problem(send(stack.http, b""), 422, "bad-clips")
+    answer = stack.http.post(
+        "/clips", params={"body": "ant"}, content=FILE, headers={"content-type": "text/csv"}
+    )
+    problem(answer, 415, "unsupported-media-type")
+    assert stack.http.get("/clips").json()["items"] == []
+
+
+def test_they_get_another_name_and_are_deleted(stack: Stack, clips: str) -> None:
+    answer = stack.http.patch(f"/clips/{clips}", json={"name": "trots"})
+    assert (answer.status_code, answer.json()["name"]) == (200, "trots")
+    assert stack.http.get(f"/clips/{clips}").json()["name"] == "trots"
+    problem(stack.http.patch(f"/clips/{clips}", json={"name": ""}), 422, "invalid-request")
+    assert stack.http.delete(f"/clips/{clips}").status_code == 204
+    problem(stack.http.get(f"/clips/{clips}"), 404, "clips-not-found")
+    problem(stack.http.patch(f"/clips/{clips}", json={"name": "x"}), 404, "clips-not-found")
+    assert list(stack.objects.list(keys.clip_files())) == []
+
+
+def test_those_without_a_replay_say_why(stack: Stack) -> None:
+    told = {"num_replayed": 0, "no_replay": "Its first clip has more than 20,000 frames.", "made": {}}
+    with worker(stack, status="ready", description=DESCRIPTION.model_copy(update=told)):
+        document = send(stack.http).json()
+    assert "replay" not in document["links"]
+    answer = stack.http.get(f"/clips/{document['id']}/replay")
+    assert "more than 20,000 frames" in problem(answer, 404, "artifact-not-found")["detail"]
