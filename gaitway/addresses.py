@@ -1,5 +1,6 @@
 """Addresses and names for both clients: the service's address, paths on it, ids and files."""
 
+import json
 import os
 import shutil
 import zlib
@@ -7,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
-from zipfile import BadZipFile, ZipFile
+from zipfile import BadZipFile, ZipFile, ZipInfo
 
 import httpx
 
@@ -20,8 +21,8 @@ ID_LENGTH = 23
 POLL_S = 0.5
 # An abbreviated id is looked for among this many jobs.
 SEARCHED = 1000
-# Far beyond what a service takes: a larger file in an export is not unpacked.
-_LARGEST_MODEL = 2**30
+# Far beyond what a service takes, in bytes: a larger file in an export is not unpacked.
+_LARGEST = 2**30
 
 # Called with the bytes that are here, and those of the whole file.
 OnBytes = Callable[[int, int], None]
@@ -78,17 +79,43 @@ def models_in(archive: Path, folder: Path) -> list[Path]:
     """The models in an export, unpacked into the folder; none of a damaged zip, which the service refuses."""
     try:
         with ZipFile(archive) as opened:
-            infos = [
-                info
-                for info in opened.infolist()
-                if info.filename.startswith("model/")
-                and not info.is_dir()
-                and info.file_size <= _LARGEST_MODEL
-            ]
-            models = [folder / f"model-{number}" for number in range(len(infos))]
-            for info, model in zip(infos, models, strict=True):
-                with opened.open(info) as source, model.open("wb") as file:
-                    shutil.copyfileobj(source, file)
-    except (BadZipFile, zlib.error, RuntimeError):  # RuntimeError: an unknown compression, or a password
+            return _unpacked(opened, "model", folder)
+    except _DAMAGED:
         return []
-    return models
+
+
+def clips_in(archive: Path, folder: Path) -> list[tuple[Path, dict[str, Any]]]:
+    """The files of clips in an export, unpacked into the folder, each with its name, body and rate; none of a
+    damaged zip."""
+    try:
+        with ZipFile(archive) as opened:
+            if "clips.json" not in opened.namelist():
+                return []
+            told = {one["path"]: one for one in json.loads(opened.read("clips.json"))["files"]}
+            names = [info.filename for info in _members(opened, "clips")]
+            found = zip(names, _unpacked(opened, "clips", folder), strict=True)
+            return [(file, told[name]) for name, file in found if name in told]
+    except (*_DAMAGED, ValueError, KeyError, TypeError):
+        return []
+
+
+# RuntimeError: an unknown compression, or a password.
+_DAMAGED = (BadZipFile, zlib.error, RuntimeError)
+
+
+def _unpacked(opened: ZipFile, what: str, folder: Path) -> list[Path]:
+    """The members in the folder of this name, as files in another folder."""
+    members = _members(opened, what)
+    files = [folder / f"{what}-{number}" for number in range(len(members))]
+    for member, file in zip(members, files, strict=True):
+        with opened.open(member) as source, file.open("wb") as target:
+            shutil.copyfileobj(source, target)
+    return files
+
+
+def _members(opened: ZipFile, what: str) -> list[ZipInfo]:
+    return [
+        info
+        for info in opened.infolist()
+        if info.filename.startswith(f"{what}/") and not info.is_dir() and info.file_size <= _LARGEST
+    ]

@@ -16,12 +16,13 @@ const VIEWS = {
   sweeps: ([id]) => (id === "new" ? "new_sweep" : id ? "sweep" : "sweeps"),
   submit: () => "submit",
   models: () => "models",
+  clips: () => "clips",
   workers: () => "workers",
   usage: () => "usage",
   news: () => "news",
   account: () => "account",
 };
-const NAMES = { jobs: "Jobs", sweeps: "Sweeps", submit: "Submit", models: "Models", workers: "Workers", usage: "Usage", news: "News" };
+const NAMES = { jobs: "Jobs", sweeps: "Sweeps", submit: "Submit", models: "Models", clips: "Clips", workers: "Workers", usage: "Usage", news: "News" };
 
 function useView(key) {
   const [view, setView] = useState({});

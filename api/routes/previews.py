@@ -34,6 +34,7 @@ from core.jobs.queue import looks_at_models
 from core.jobs.resolved import model_of, resolve_environment
 from core.jobs.spec import EnvironmentSpec
 from core.jobs.submission import check_readable_uploads
+from core.jobs.uploads import archives_of
 from core.previews import library
 from core.previews.record import Preview, PreviewRequest, Still
 from core.rendering.layout import camera_choices, model_camera
@@ -162,6 +163,7 @@ def _wanted(
         environment=environment_id,
         options=options.model_dump(mode="json"),
         model=model_of(environment),
+        clips=archives_of(environment, service.store),
         cameras=shown if camera is None or camera in shown else [camera],
         show=asked.show,
         width=asked.width,

@@ -17,11 +17,12 @@ from pydantic_core import to_json
 from api.curves import csv_lines, json_lines
 from api.dependencies import Service
 from api.views import job_view
-from core.errors import ModelNotFound, ObjectDamaged, ObjectNotFound
+from core.errors import ClipsNotFound, ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs import feeds
 from core.jobs.job import Artifact, Job
 from core.jobs.metrics import Block, Newest
 from core.jobs.resolved import filled_in, model_of
+from core.jobs.uploads import clip_files_of
 from core.storage import keys
 from core.storage.objects import check_whole, read_whole
 
@@ -39,6 +40,7 @@ _HELD_BYTES = 2**20
 _LEVEL = 1
 # Each piece of an answer costs a change of threads.
 _SENT_BYTES = 2**16
+CLIPS_FOLDER = "clips/"
 # Every training that ended well has these.
 _EXPECTED = {"train": ("checkpoint", "policy", "video"), "rollout": ("trajectory", "video")}
 _README = (
@@ -131,6 +133,7 @@ def export(job: Job, service: Service) -> Iterator[ZipMember]:
     yield ZipMember("metrics.jsonl", json_lines(map(newest.of, _metrics(job, service))))
     yield ZipMember("log.txt", _log(job, service))
     yield from _model(job, service, contents)
+    yield from _clips(job, service, contents)
     if (source := job.spec.source) is not None:
         contents.lacks(f"the checkpoint of job {source.job}", "that is another job, which has its own export")
     yield from _files(job, service, contents)
@@ -157,6 +160,8 @@ def _readme(job: Job) -> str:
     what = f"a {'training' if job.spec.kind == 'train' else 'rollout'} of {job.spec.environment.id}"
     has_model = model_of(job.spec.environment) is not None
     model = " (after gaitway models add model/*)" if has_model else ""
+    if clip_files_of(job.spec.environment):
+        model += " (after gaitway clips add of each file that clips.json lists)"
     return _README.format(id=job.id, what=what, model=model)
 
 
@@ -188,6 +193,26 @@ def _model(job: Job, service: Service, contents: _Contents) -> Iterator[ZipMembe
         contents.lacks(f"the model {model_id}", "it was deleted")
     else:
         contents.files.append({"path": name, "sha256": model_id.removeprefix("sha256:"), "size": record.size})
+
+
+def _clips(job: Job, service: Service, contents: _Contents) -> Iterator[ZipMember]:
+    """The files of clips that the job names, as they were sent, and how each is read."""
+    told: list[dict[str, Any]] = []
+    for file_id in clip_files_of(job.spec.environment):
+        name = f"{CLIPS_FOLDER}{file_id.removeprefix('sha256:')[:12]}"
+        try:
+            record = service.store.clips.find(file_id)
+            key = keys.clip_file_source(file_id)
+            yield from _stored(name, key, record.sha256, record.size, service, compress=True)
+        except ObjectDamaged as error:
+            contents.lacks(f"the clips {file_id}", f"they are damaged: {error.why}")
+        except (ClipsNotFound, ObjectNotFound):
+            contents.lacks(f"the clips {file_id}", "they were deleted")
+        else:
+            contents.files.append({"path": name, "sha256": record.sha256, "size": record.size})
+            told.append({"path": name, "name": record.name, "body": record.body, "rate": record.rate})
+    if told:
+        yield _json("clips.json", {"files": told})
 
 
 def _files(job: Job, service: Service, contents: _Contents) -> Iterator[ZipMember]:

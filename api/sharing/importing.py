@@ -24,13 +24,13 @@ from api.sharing.archive import (
     Record,
     Versions,
 )
-from api.sharing.export import FORMAT
+from api.sharing.export import CLIPS_FOLDER, FORMAT
 from api.submissions import parse
 from core.accounts.principal import Ownership
 from core.algorithms.catalog import reported
 from core.bounds import LARGEST_STEP, LONGEST_NAME, MOST_IN_A_ROW, MOST_METRICS
 from core.environments import catalog
-from core.errors import BadExport, EnvironmentNotFound, ModelNotFound, Rejected
+from core.errors import BadExport, ClipsNotFound, EnvironmentNotFound, ModelNotFound, Rejected
 from core.jobs.feeds import MAX_METRICS_BYTES
 from core.jobs.job import Artifact, Attempt, Job, Origin, Progress, new_job_id
 from core.jobs.metrics import Block, Measurement
@@ -38,7 +38,8 @@ from core.jobs.resolved import filled_in, resolve_environment
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, status_entry
-from core.jobs.submission import ImportedFile, ImportedRun
+from core.jobs.submission import ImportedFile, ImportedRun, check_readable_uploads
+from core.jobs.uploads import clip_files_of
 from core.reasons import Reason
 from core.storage import keys
 from core.uploads import library
@@ -87,7 +88,7 @@ def read_run(
 ) -> ImportedRun:
     """The run under a new id. All of the archive has been read and checked. Raises BadExport.
 
-    readable: the projects whose models the job may use; None: all.
+    readable: the projects whose models and clips the job may use; None: all.
     """
     _check_format(archive)
     contents = _parsed(archive, "contents.json", Contents)
@@ -196,6 +197,10 @@ def _check_job(job: Job, readable: Collection[str] | None, service: Service) -> 
             # Whoever may export it would have the model's file.
             if readable is not None and not any(one.project in readable for one in owners):
                 raise ModelNotFound(model)
+        for clips in clip_files_of(environment):
+            library.find(clips, service.store.clips)
+        # Whoever may export it would have the file.
+        check_readable_uploads(environment, readable, service.store)
         resolve_environment(environment, service.store)
         for attempt in job.attempts:
             if "hyperparameters" in attempt.details:
@@ -206,6 +211,11 @@ def _check_job(job: Job, readable: Collection[str] | None, service: Service) -> 
             f"The job uses the model {error.facts['model']}, which this service does not have: unpack the "
             "zip, send the model by `gaitway models add model/*`, and import the zip again."
         ) from None
+    except ClipsNotFound as error:
+        raise BadExport(
+            f"The job uses the clips {error.facts['clips']}, which this service does not have: unpack the "
+            "zip, send each file in `clips/` by `gaitway clips add` as clips.json says, and import it again."
+        ) from None
     except (EnvironmentNotFound, Rejected) as error:
         raise BadExport(f"This service cannot have the job: {error.detail}") from None
     except (KeyError, TypeError, ValueError) as error:  # pydantic's errors are ValueErrors.
@@ -215,11 +225,14 @@ def _check_job(job: Job, readable: Collection[str] | None, service: Service) -> 
 
 
 def _files(archive: JobArchive, contents: Contents, record: Record, job_id: str) -> list[ImportedFile]:
-    """The files that the record and the archive have; the model's is checked only."""
+    """The files that the record and the archive have; a model's and clips' are checked only."""
     listed = {file.path for file in contents.files}
     if len(listed) < len(contents.files):
         raise BadExport("contents.json lists a file twice.")
-    if unlisted := {name for name in archive.names if name.startswith((_FILES, "model/"))} - listed:
+    if (
+        unlisted := {name for name in archive.names if name.startswith((_FILES, "model/", CLIPS_FOLDER))}
+        - listed
+    ):
         raise BadExport(f"contents.json does not list {min(unlisted)}.")
     known = {f"{_FILES}{artifact.name}": artifact for artifact in record.artifacts}
     found: list[ImportedFile] = []

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol, cast
 
 from core.clips.options import ClipChoice
-from core.clips.record import ClipFile, ClipStore
+from core.clips.record import ARCHIVE, ClipFile, ClipStore
 from core.environments.info import EnvironmentInfo
 from core.errors import ClipsNotFound, Problem, Rejected
 from core.jobs.spec import EnvironmentSpec
@@ -41,6 +41,12 @@ def named_clips(environment: EnvironmentSpec) -> Iterator[tuple[int, str]]:
     for place, choice in enumerate(cast("list[object]", choices) if isinstance(choices, list) else ()):
         if isinstance(file := _member(choice, "file"), str):
             yield place, file
+
+
+def archives_of(environment: EnvironmentSpec, uploads: Uploads) -> dict[str, str]:
+    """The clip files that an environment names, each with the hash of its archive. They were checked."""
+    found = {file: uploads.clips.find(file).description for file in clip_files_of(environment)}
+    return {file: said.made[ARCHIVE].sha256 for file, said in found.items() if said is not None}
 
 
 def check_clips(environment: EnvironmentSpec, info: EnvironmentInfo, uploads: Uploads) -> None:

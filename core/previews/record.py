@@ -18,12 +18,14 @@ class PreviewRequest(Stored):
     """An environment as an episode begins, seen by these cameras: everything that a still depends on.
 
     options: all of them, defaults filled in. model: the id of the user's own model that they name.
+    clips: the files of clips that they name, each with the hash of what a worker read in it.
     show: what is drawn besides the body. width, height: pixels.
     """
 
     environment: str
     options: dict[str, JsonValue]
     model: str | None = None
+    clips: dict[str, str] = {}
     cameras: list[str | int]
     show: list[Overlay] = []
     width: int

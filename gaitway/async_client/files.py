@@ -14,7 +14,7 @@ from urllib.parse import urlencode
 import httpx
 
 from gaitway import policy
-from gaitway.addresses import OnBytes, models_in, path_of, target
+from gaitway.addresses import OnBytes, clips_in, models_in, path_of, target
 from gaitway.async_client.catalog import AsyncCatalog
 from gaitway.async_client.connection import AsyncConnection
 from gaitway.async_client.jobs import AsyncJob, AsyncJobs
@@ -285,15 +285,19 @@ class AsyncFiles(AsyncJobs, AsyncCatalog, AsyncDownloads):
     ) -> AsyncJob:
         """Make an ended job of an export, from this service or another: others can resume from it.
 
-        The user's own model in it is sent first. Retries of the request create only one job; idempotency_key
-        extends this to several calls. project: whose members see it.
-        timeout: seconds for the service to store it. Raises Rejected where the
+        The user's own model and clips in it are sent first. Retries of the request create only one job;
+        idempotency_key extends this to several calls. project: whose members see it. timeout:
+        seconds for the service to store it. Raises Rejected where the
         file is no whole export, or the service cannot have such a job (docs/sharing.md).
         """
         file = Path(path)
         with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
             for model in await async_run(partial(models_in, file, Path(folder))):
                 await self.add_model(model, timeout, project=project)
+            for clips, told in await async_run(partial(clips_in, file, Path(folder))):
+                await self.add_clips(
+                    clips, told["body"], timeout, rate=told["rate"], name=told["name"], project=project
+                )
         headers = {
             "Content-Type": "application/zip",
             "Idempotency-Key": idempotency_key or uuid.uuid4().hex,

@@ -15,7 +15,7 @@ from urllib.parse import urlencode
 import httpx
 
 from gaitway import policy
-from gaitway.addresses import OnBytes, models_in, path_of, target
+from gaitway.addresses import OnBytes, clips_in, models_in, path_of, target
 from gaitway.client.catalog import Catalog
 from gaitway.client.connection import Connection
 from gaitway.client.jobs import Job, Jobs
@@ -284,15 +284,19 @@ class Files(Jobs, Catalog, Downloads):
     ) -> Job:
         """Make an ended job of an export, from this service or another: others can resume from it.
 
-        The user's own model in it is sent first. Retries of the request create only one job; idempotency_key
-        extends this to several calls. project: whose members see it.
-        timeout: seconds for the service to store it. Raises Rejected where the
+        The user's own model and clips in it are sent first. Retries of the request create only one job;
+        idempotency_key extends this to several calls. project: whose members see it. timeout:
+        seconds for the service to store it. Raises Rejected where the
         file is no whole export, or the service cannot have such a job (docs/sharing.md).
         """
         file = Path(path)
         with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
             for model in run(partial(models_in, file, Path(folder))):
                 self.add_model(model, timeout, project=project)
+            for clips, told in run(partial(clips_in, file, Path(folder))):
+                self.add_clips(
+                    clips, told["body"], timeout, rate=told["rate"], name=told["name"], project=project
+                )
         headers = {
             "Content-Type": "application/zip",
             "Idempotency-Key": idempotency_key or uuid.uuid4().hex,

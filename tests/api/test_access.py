@@ -36,6 +36,7 @@ VALUES = {
     "{job_id}": "019aa3c2f0b1-5be0c1d2e3",
     "{sweep_id}": "019aa3c2f0b1-5be0c1d2e3",
     "{model_id}": f"sha256:{'0' * 64}",
+    "{clips_id}": f"sha256:{'0' * 64}",
     "{token_id}": "0" * 12,
     "{environment_id:path}": "ant",
     "{path:path}": "app.js",

@@ -10,6 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
+from api import uploads as route
 from core.clips.record import (
     ARCHIVE,
     REPLAY,
@@ -40,9 +41,9 @@ DESCRIPTION = ClipsDescription(
 )
 
 
-def send(http: httpx.Client, body: bytes = FILE, **sent: Any) -> httpx.Response:
+def send(http: httpx.Client, content: bytes = FILE, **sent: Any) -> httpx.Response:
     headers = {"Content-Type": "application/octet-stream"}
-    return http.post("/clips", content=body, headers=headers, params={"body": "ant", **sent})
+    return http.post("/clips", content=content, headers=headers, params={"body": "g1", **sent})
 
 
 @contextmanager
@@ -71,13 +72,14 @@ def worker(stack: Stack, **found: Any) -> Iterator[None]:
 
 @pytest.fixture
 def clips(stack: Stack) -> str:
-    """A file of clips of the ant that is ready."""
+    """A file of clips of the G1 that is ready."""
     with worker(stack, status="ready", description=DESCRIPTION):
         return send(stack.http).json()["id"]
 
 
-def job(*choices: dict[str, Any], environment: str = "ant") -> dict[str, Any]:
-    return {"kind": "train", "environment": {"id": environment, "options": {"reference": {"clips": choices}}}}
+def job(*choices: dict[str, Any], environment: str = "g1") -> dict[str, Any]:
+    options = {"reference": {"clips": choices}, "reward": [{"kind": "track_joints"}], "command": None}
+    return {"kind": "train", "environment": {"id": environment, "options": options}}
 
 
 def test_clips_are_answered_with_what_is_in_them(stack: Stack) -> None:
@@ -87,9 +89,9 @@ def test_clips_are_answered_with_what_is_in_them(stack: Stack) -> None:
     assert (answer.status_code, again.status_code) == (201, 200)
     document = answer.json()
     sha256 = hashlib.sha256(FILE).hexdigest()
-    assert document["id"] == clips_id(sha256, "ant", 50.0)
+    assert document["id"] == clips_id(sha256, "g1", 50.0)
     assert answer.headers["location"] == f"/clips/{document['id']}" == document["links"]["self"]
-    assert (document["name"], document["body"], document["rate"]) == ("gaits", "ant", 50.0)
+    assert (document["name"], document["body"], document["rate"]) == ("gaits", "g1", 50.0)
     assert [clip["name"] for clip in document["description"]["clips"]] == ["walk", "turn"]
     assert document["description"]["clips"][0]["warnings"] == ["A foot slides."]
     assert stack.http.get(f"/clips/{document['id']}").json() == document == again.json()
@@ -116,7 +118,7 @@ def test_refused_clips_are_answered_with_the_reason_and_leave_nothing(stack: Sta
 @pytest.mark.parametrize(
     ("sent", "detail"),
     [
-        ({"body": "antt"}, "Did you mean 'ant'"),
+        ({"body": "g2"}, "There is no environment 'g2'"),
         ({"body": "mjcf"}, "give the id of the model"),
         ({"body": f"sha256:{'0' * 64}"}, "There is no model"),
         ({"rate": 0}, "greater than 0"),
@@ -130,7 +132,7 @@ def test_what_cannot_be_read_is_refused_before_a_worker_sees_it(
     assert detail in document["detail"]
     problem(send(stack.http, b""), 422, "bad-clips")
     answer = stack.http.post(
-        "/clips", params={"body": "ant"}, content=FILE, headers={"content-type": "text/csv"}
+        "/clips", params={"body": "g1"}, content=FILE, headers={"content-type": "text/csv"}
     )
     problem(answer, 415, "unsupported-media-type")
     assert stack.http.get("/clips").json()["items"] == []
@@ -154,3 +156,47 @@ def test_those_without_a_replay_say_why(stack: Stack) -> None:
     assert "replay" not in document["links"]
     answer = stack.http.get(f"/clips/{document['id']}/replay")
     assert "more than 20,000 frames" in problem(answer, 404, "artifact-not-found")["detail"]
+
+
+def test_a_job_names_clips_of_its_body_and_they_stay_while_it_needs_them(stack: Stack, clips: str) -> None:
+    answer = stack.http.post("/jobs", json=job({"file": clips, "names": ["walk"], "to_s": 1.5}))
+    assert answer.status_code == 202, answer.text
+    document = problem(stack.http.delete(f"/clips/{clips}"), 409, "clips-in-use")
+    assert document["jobs"] == [answer.json()["id"]]
+    stack.http.post(f"/jobs/{answer.json()['id']}/cancel")
+    assert stack.http.delete(f"/clips/{clips}").status_code == 204
+
+
+@pytest.mark.parametrize(
+    ("choice", "place", "detail"),
+    [
+        ({"names": ["gallop"]}, "names", "No clip of sha256:"),
+        ({"names": ["turn"], "from_s": 1.5}, "from_s", "the clip 'turn' takes 1 s"),
+        ({"names": ["turn"], "to_s": 1.5}, "to_s", "to_s is past the end"),
+        ({"file": f"sha256:{'f' * 64}"}, "file", "`POST /clips` makes them"),
+    ],
+)
+def test_a_job_whose_clips_lack_what_it_names_is_refused(
+    stack: Stack, clips: str, choice: dict[str, Any], place: str, detail: str
+) -> None:
+    document = problem(stack.http.post("/jobs", json=job({"file": clips, **choice})), 422, "invalid-request")
+    [wrong] = document["errors"]
+    assert wrong["pointer"] == f"/environment/options/reference/clips/0/{place}"
+    assert detail in wrong["detail"]
+
+
+def test_clips_of_another_body_are_refused_by_a_joint_that_is_missing(stack: Stack, clips: str) -> None:
+    document = problem(
+        stack.http.post("/jobs", json=job({"file": clips}, environment="go1")), 422, "invalid-request"
+    )
+    assert "are of the body g1, and go1 has no joints called hip_1" in document["detail"]
+
+
+def test_clips_that_are_not_validated_yet_are_refused(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(route, "_TIMEOUT_S", 0.01)
+    answer = send(stack.http)
+    assert (answer.status_code, answer.json()["status"]) == (202, "validating")
+    document = problem(
+        stack.http.post("/jobs", json=job({"file": answer.json()["id"]})), 422, "invalid-request"
+    )
+    assert "still being validated" in document["detail"]

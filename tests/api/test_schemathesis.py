@@ -12,8 +12,9 @@ import pytest
 
 from core.errors import Conflict, NotFound
 from core.previews import library as previews
-from core.uploads import library as models
+from core.uploads import library
 from tests.api.conftest import NOON, Attempt, Stack, job
+from tests.api.test_clips import DESCRIPTION as CLIPS
 from tests.api.test_models import DESCRIPTION
 from tests.api.test_previews import announced
 
@@ -50,10 +51,13 @@ def _worker(stack: Stack) -> Iterator[None]:
                 with suppress(Conflict, NotFound):  # Somebody cancelled or deleted it.
                     _end(Attempt(stack, stack.store.get(waiting.job_id), is_new=False))
             if sent := stack.queue.take_upload():
-                _, model = sent
-                found = models.find(model, stack.store.models)
-                ready = {"status": "ready", "description": DESCRIPTION}
-                stack.store.models.settle(found.model_copy(update=ready))
+                kind, upload_id = sent
+                store, description = {
+                    "model": (stack.store.models, DESCRIPTION),
+                    "clips": (stack.store.clips, CLIPS),
+                }[kind]
+                ready = {"status": "ready", "description": description}
+                store.settle(library.find(upload_id, store).model_copy(update=ready))
             if wanted := stack.queue.take_preview():
                 previews.keep(wanted, [b"PNG"] * len(wanted.cameras), stack.objects, NOON)
 

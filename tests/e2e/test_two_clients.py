@@ -29,6 +29,8 @@ from gaitway import (
     WaitTimeout,
 )
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
+from tests.api.test_clips import DESCRIPTION as CLIPS
+from tests.api.test_clips import worker as clips_worker
 from tests.api.test_models import DESCRIPTION
 from tests.api.test_models import worker as validating_worker
 from tests.api.test_previews import drawing_worker
@@ -38,6 +40,8 @@ from tests.unit.environments.mjcf.probe import XML
 __all__ = ["quiet", "server", "stack"]  # fixtures
 
 METHODS = {name for name in dir(Client) if not name.startswith("_")} - {"base_url"}
+
+_LISTINGS = {"list", "events", "logs", "sweeps", "models", "clip_files", "workers", "audit", "deliveries"}
 
 
 class Either:
@@ -53,7 +57,17 @@ class Either:
         portal = self._portal
         if portal is None:
             return method
-        if name in ("list", "events", "logs", "sweeps", "models", "workers", "audit", "deliveries"):
+        if name in (
+            "list",
+            "events",
+            "logs",
+            "sweeps",
+            "models",
+            "clip_files",
+            "workers",
+            "audit",
+            "deliveries",
+        ):
             return lambda *args, **more: _items(method(*args, **more), portal)
 
         async def call(args: tuple[Any, ...], more: dict[str, Any]) -> Any:
@@ -208,6 +222,14 @@ def _bodies(stack: Stack, client: Either, folder: Path) -> None:
     assert client.model(model.id) == next(client.models())
     client.delete_model(model.id)
     assert list(client.models()) == []
+    with clips_worker(stack, status="ready", description=CLIPS):
+        (clips_file := folder / "walk.csv").write_bytes(b"0,0,0.5,0,0,0,1")
+        clips = client.add_clips(clips_file, "g1", rate=50.0)
+    assert client.clip_file(clips.id) == next(client.clip_files()) == clips
+    assert (clips.name, client.rename_clips(clips.id, "walks").name) == ("walk.csv", "walks")
+    assert client.clips_content(clips.id) == clips_file.read_bytes()
+    client.delete_clips(clips.id)
+    assert list(client.clip_files()) == []
     with drawing_worker(stack):
         assert client.preview("ant", folder, camera="track")["track"].read_bytes() == b"track"
         assert set(client.preview("ant", folder)) == {"track", 0}

@@ -13,6 +13,7 @@ from typing import IO
 import structlog
 from pydantic import ValidationError
 
+from core.clips.record import ARCHIVE
 from core.errors import ObjectDamaged
 from core.jobs.job import utc_now
 from core.previews import library
@@ -21,7 +22,7 @@ from core.rendering.gl import DRIVER_CRASHES, RenderingFailed, backends, no_gl
 from core.rendering.request import RenderFailure
 from core.settings import Confinement
 from core.storage import keys
-from core.storage.objects import ObjectStore, read_whole
+from core.storage.objects import ObjectStore, read_whole, save_whole
 from core.variables import variable
 from worker.host.child import environment, kill, launch, tail
 from worker.host.disk import read_plain
@@ -53,6 +54,14 @@ def draw(
             (folder / "model").write_bytes(read_whole(keys.model_source(request.model), sha256, objects))
         except ObjectDamaged as error:
             message = f"The stored model is damaged: {error.why}. Delete it, and send it again."
+            failure = RenderFailure(reason="bad_request", message=message)
+            library.keep_failure(request, failure, objects, utc_now())
+            return
+    for number, (file_id, sha256) in enumerate(request.clips.items()):
+        try:
+            save_whole(keys.made_of_clips(file_id, ARCHIVE), sha256, objects, folder / f"clips-{number}.npz")
+        except ObjectDamaged as error:
+            message = f"The stored clips are damaged: {error.why}. Delete them, and send them again."
             failure = RenderFailure(reason="bad_request", message=message)
             library.keep_failure(request, failure, objects, utc_now())
             return

@@ -18,15 +18,17 @@ from worker.training.built_environment import build_environment
 def draw(request: PreviewRequest, folder: Path) -> None:
     """Write `0.png`, `1.png`, … into the folder, one for each camera.
 
-    The user's own model, if the options name one, is there as `model`. Raises JobFailed if no job could use
+    The user's own model, if the options name one, is there as `model`, clips as
+    `clips-0.npz`, …. Raises JobFailed if no job could use
     this body.
     """
     spec = RolloutSpec(
         environment=EnvironmentSpec(id=request.environment, options=request.options), policy=ZeroPolicy()
     )
     model = str(folder / "model") if request.model else None
+    clips = {file_id: str(folder / f"clips-{number}.npz") for number, file_id in enumerate(request.clips)}
     environment = build_environment(
-        Task(job_id="", attempt=0, spec=spec, device="cpu", model=model)
+        Task(job_id="", attempt=0, spec=spec, device="cpu", model=model, clips=clips)
     ).environment
     qpos, target = initial_positions(environment, spec.seed)
     view = following_view(environment.model, qpos, environment.tracked_body)

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from core.clips.kinematics import qpos
-from core.clips.reading import read
-from core.clips.skeleton import skeleton_of
 
 from core.clips import archive
 from core.clips.clip import Clip
+from core.clips.kinematics import qpos
+from core.clips.reading import read
 from core.clips.record import ARCHIVE, MOST_REPLAYED, REPLAY, SCENE, ClipFacts, ClipsDescription
+from core.clips.skeleton import skeleton_of
 from core.environments import catalog
 from core.environments.mjcf.model import read as read_model
 from core.environments.task_model import compiled

@@ -56,6 +56,7 @@ const PAGES = {
   sweeps: "sweeps.md",
   submit: "training.md",
   models: "environments/mjcf.md",
+  clips: "imitation.md",
   workers: "operations.md",
   usage: "operations.md",
   news: "teams.md",

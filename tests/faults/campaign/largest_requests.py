@@ -30,6 +30,7 @@ from tests.faults.campaign.largest_import import Import
 
 _LARGEST_BODY: int = ApiSettings.model_fields["max_body_bytes"].default
 _LARGEST_MODEL: int = ApiSettings.model_fields["max_model_bytes"].default
+_LARGEST_CLIPS: int = ApiSettings.model_fields["max_clips_bytes"].default
 # A letter of four bytes.
 _LETTER = "\N{MATHEMATICAL BOLD SMALL A}"
 _JSON, _ZIP, _XML = "application/json", "application/zip", "application/xml"
@@ -134,6 +135,9 @@ class Service:
 
     def model(self) -> str:
         return self._made_by("/models", largest_model(), {"Content-Type": _XML})
+
+    def clips(self) -> str:
+        return self._made_by("/clips?body=ant&rate=50", b"0", {"Content-Type": "application/octet-stream"})
 
     def _made_by(self, path: str, content: bytes | Path, headers: Mapping[str, str]) -> str:
         """The id of what this request makes. Raises AssertionError where it makes nothing."""
@@ -354,6 +358,29 @@ def _of_model(method: str, status: int) -> Forms:
     return made
 
 
+_CLIPS = {"Content-Type": "application/octet-stream"}
+
+
+def _clips(service: Service, route: str) -> Iterator[Form]:
+    body = b"0" * service.parts(_LARGEST_CLIPS)
+    path = f"/clips?body=ant&rate=50&name={quote(_LETTER * 100)}"
+    # A worker refuses it, at once or later.
+    yield Form(route, f"{len(body):,} bytes", "POST", path, (201, 202, 422), body, _CLIPS)
+
+
+def _largest_name() -> bytes:
+    return json.dumps({"name": _LETTER * 100}).encode().ljust(_LARGEST_BODY)
+
+
+def _of_clips(method: str, part: str, status: int, body: bytes = b"") -> Forms:
+    def made(service: Service, route: str) -> Iterator[Form]:
+        path = f"/clips/{service.clips()}{part}"
+        # Where a worker has refused them by now, there are none.
+        yield Form(route, "", method, path, (status, 404), body, {"Content-Type": _JSON} if body else {})
+
+    return made
+
+
 def _listing_of_jobs(service: Service, route: str) -> Iterator[Form]:
     record = f"{MOST_ATTEMPTS} attempts, a record of 1 MiB"
     for _ in range(service.parts(40)):
@@ -552,6 +579,15 @@ _FORMS: dict[str, Forms] = {
     "GET /models": _get("/models?limit=200"),
     "GET /models/{model_id}": _of_model("GET", 200),
     "DELETE /models/{model_id}": _of_model("DELETE", 204),
+    "POST /clips": _clips,
+    "GET /clips": _get("/clips?limit=200"),
+    "GET /clips/{clips_id}": _of_clips("GET", "", 200),
+    "GET /clips/{clips_id}/file": _of_clips("GET", "/file", 200),
+    # No worker has made a replay of them.
+    "GET /clips/{clips_id}/replay": _of_clips("GET", "/replay", 404),
+    "GET /clips/{clips_id}/replay/scene": _of_clips("GET", "/replay/scene", 404),
+    "PATCH /clips/{clips_id}": _of_clips("PATCH", "", 200, _largest_name()),
+    "DELETE /clips/{clips_id}": _of_clips("DELETE", "", 204),
     "GET /environments/{environment_id}/preview": _preview,
     "GET /environments": _get("/environments"),
     "GET /environments/{environment_id}": _get(f"/environments/ant?options={_options()}", "5,000 characters"),

@@ -1,0 +1,126 @@
+"""A file of clips in the confined process: what is found, kept and refused."""
+
+import json
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core.adapters.postgres.store import PostgresJobStore
+from core.clips import archive
+from core.clips.clip import Clip
+from core.clips.record import ARCHIVE, REPLAY, SCENE, ClipFile, clips_id
+from core.errors import ClipsNotFound
+from core.jobs.job import utc_now
+from core.rendering.replay.replay_file import read_replay
+from core.storage import keys
+from core.uploads import library
+from tests.in_memory import MemoryJobQueue, MemoryObjectStore
+from tests.models import add as add_model
+from worker.validation.clips import validate_clips
+
+HOPS = b"""<mujoco><worldbody>
+  <geom type="plane" size="5 5 1"/>
+  <body name="trunk" pos="0 0 0.5"><freejoint/>
+    <geom type="box" size="0.1 0.1 0.05" mass="1"/>
+    <body name="leg" pos="0 0 -0.05"><joint name="knee" axis="0 1 0" range="-90 90"/>
+      <geom name="foot" type="capsule" fromto="0 0 0 0 0 -0.4" size="0.03" mass="0.2"/>
+    </body>
+  </body>
+</worldbody><actuator><motor joint="knee"/></actuator></mujoco>"""
+
+
+def hop(name: str = "hop", joint: str = "knee", frames: int = 26) -> Clip:
+    """It rises by 10 cm and bends its knee, upright, at 50 frames/s."""
+    time = np.arange(frames) / 50.0
+    return Clip(
+        name=name,
+        rate=50.0,
+        root_position=np.stack([0.2 * time, 0 * time, 0.49 + 0.1 * np.sin(np.pi * time)], axis=1),
+        root_orientation=np.tile([1.0, 0.0, 0.0, 0.0], (frames, 1)),
+        joints=(joint,),
+        joint_positions=0.3 * np.sin(2 * np.pi * time)[:, None],
+    )
+
+
+@pytest.fixture
+def stores(job_store: PostgresJobStore) -> dict[str, Any]:
+    return {"store": job_store, "objects": MemoryObjectStore(), "queue": MemoryJobQueue()}
+
+
+def body_of(stores: dict[str, Any]) -> str:
+    """The id of the model, which is ready."""
+    store = stores["store"]
+    record = add_model(
+        HOPS, store=store.models, objects=stores["objects"], queue=stores["queue"], now=utc_now()
+    )
+    store.models.settle(record.model_copy(update={"status": "ready"}))
+    return record.id
+
+
+def sent(content: bytes, stores: dict[str, Any], folder: Path) -> ClipFile:
+    """The record of a file that a worker has examined."""
+    file = folder / "sent"
+    file.write_bytes(content)
+    digest = sha256(content).hexdigest()
+    body = body_of(stores)
+    record = ClipFile(
+        id=clips_id(digest, body, None),
+        status="validating",
+        media_type="application/octet-stream",
+        size=len(content),
+        created_at=utc_now(),
+        sha256=digest,
+        body=body,
+    )
+    store, objects = stores["store"], stores["objects"]
+    library.add(file, record, store=store.clips, objects=objects, queue=stores["queue"])
+    assert stores["queue"].contains_upload("clips", record.id)
+    spool = folder / "spool"
+    spool.mkdir()
+    validate_clips(record.id, store, objects, spool, folder)
+    return library.find(record.id, store.clips)
+
+
+def test_what_a_file_holds_is_kept_with_its_archive_and_a_replay(
+    tmp_path: Path, stores: dict[str, Any]
+) -> None:
+    found = sent(archive.to_bytes([hop(), hop("stay", frames=11)]), stores, tmp_path)
+    assert (found.status, found.message) == ("ready", None)
+    described = found.description
+    assert described is not None
+    assert [(clip.name, clip.num_frames, clip.rate) for clip in described.clips] == [
+        ("hop", 26, 50.0),
+        ("stay", 11, 50.0),
+    ]
+    assert described.clips[0].seconds == pytest.approx(0.5)  # 25 intervals of 1/50 s
+    assert (described.joints, described.num_replayed) == (["knee"], 2)
+    assert set(described.made) == {ARCHIVE, REPLAY, SCENE}
+    objects = stores["objects"]
+    kept = tmp_path / "kept.npz"
+    kept.write_bytes(objects.get(keys.made_of_clips(found.id, ARCHIVE)))
+    [first, _] = archive.from_file(kept)
+    np.testing.assert_allclose(first.joint_positions, hop().joint_positions, atol=1e-6)
+    assert first.joint_velocities is not None
+    header, _ = read_replay(objects.get(keys.made_of_clips(found.id, REPLAY)))
+    assert [episode["name"] for episode in header["episodes"]] == ["hop", "stay"]
+
+
+def test_clips_of_another_body_are_refused_and_leave_nothing(tmp_path: Path, stores: dict[str, Any]) -> None:
+    found = sent(archive.to_bytes([hop(joint="elbow")]), stores, tmp_path)
+    assert found.status == "refused"
+    assert "elbow" in (found.message or "")
+    assert list(stores["objects"].list(keys.clip_files())) == []
+
+
+def test_what_is_no_file_of_clips_is_refused_in_a_sentence(tmp_path: Path, stores: dict[str, Any]) -> None:
+    found = sent(json.dumps({"clips": []}).encode(), stores, tmp_path)
+    assert (found.status, found.description) == ("refused", None)
+    assert (found.message or "").endswith(".")
+
+
+def test_those_that_were_deleted_meanwhile_do_not_come_back(tmp_path: Path, stores: dict[str, Any]) -> None:
+    with pytest.raises(ClipsNotFound):
+        validate_clips(f"sha256:{'0' * 64}", stores["store"], stores["objects"], tmp_path, tmp_path)
