@@ -1,29 +1,30 @@
 """Files of clips over HTTP, with the worker's part played by the test; and jobs that name them."""
 
 import hashlib
+import io
+import json
 import threading
 import time
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
 from api import uploads as route
-from core.clips.record import (
-    ARCHIVE,
-    REPLAY,
-    SCENE,
-    ClipFacts,
-    ClipsDescription,
-    MadeFile,
-    clips_id,
-)
+from core.clips.record import ARCHIVE, REPLAY, SCENE, ClipFacts, ClipsDescription, MadeFile, clips_id
+from core.errors import JobFailed
+from core.jobs.store import JobQuery
+from core.reasons import Reason
 from core.storage import keys
 from core.uploads import library
-from tests.api.conftest import Stack
+from tests.api.conftest import Attempt, Stack
 from tests.api.problems import problem
+from worker.protocol import Task
+from worker.supervision.starting_point import write_task
 
 FILE = b"0,0,0.5,0,0,0,1,0\n"
 MADE = {ARCHIVE: b"archive", REPLAY: b"replay", SCENE: b"scene"}
@@ -200,3 +201,40 @@ def test_clips_that_are_not_validated_yet_are_refused(stack: Stack, monkeypatch:
         stack.http.post("/jobs", json=job({"file": answer.json()["id"]})), 422, "invalid-request"
     )
     assert "still being validated" in document["detail"]
+
+
+def test_they_go_along_in_an_export_and_come_back_where_they_are(stack: Stack, clips: str) -> None:
+    found = stack.store.get(stack.http.post("/jobs", json=job({"file": clips})).json()["id"])
+    attempt = Attempt(stack, found, is_new=False)
+    attempt.end()
+    sent = stack.http.get(f"/jobs/{attempt.id}/export").content
+    with zipfile.ZipFile(io.BytesIO(sent)) as archive:
+        [told] = json.loads(archive.read("clips.json"))["files"]
+        assert archive.read(told["path"]) == FILE
+        assert (told["body"], told["rate"]) == ("g1", None)
+    headers = {"Content-Type": "application/zip"}
+    answer = stack.http.post("/jobs/import", content=sent, headers=headers)
+    assert answer.status_code == 201, answer.text
+    for found in stack.store.list(JobQuery()).jobs:
+        assert stack.http.delete(f"/jobs/{found.id}").status_code == 204
+    assert stack.http.delete(f"/clips/{clips}").status_code == 204
+    document = problem(stack.http.post("/jobs/import", content=sent, headers=headers), 422, "bad-export")
+    assert "gaitway clips add" in document["detail"]
+
+
+def test_the_training_process_gets_them_as_files_by_their_ids(
+    stack: Stack, clips: str, tmp_path: Path
+) -> None:
+    found = stack.http.post("/jobs", json=job({"file": clips})).json()["id"]
+    claim = Attempt(stack, stack.store.get(found), is_new=False).claim
+    write_task(stack.store.get(found), claim, "cpu", tmp_path)
+    task = Task.model_validate_json((tmp_path / "task.json").read_text())
+    assert [*task.clips] == [clips]
+    assert (tmp_path / task.clips[clips]).read_bytes() == MADE[ARCHIVE]
+    stack.objects.delete_prefix(keys.clip_file(clips))
+    with pytest.raises(JobFailed, match="Delete them, and send them again") as failed:
+        write_task(stack.store.get(found), claim, "cpu", tmp_path)
+    assert failed.value.reason == Reason.BAD_CLIPS
+    stack.store.clips.delete(clips)
+    with pytest.raises(JobFailed, match="were deleted before the job began"):
+        write_task(stack.store.get(found), claim, "cpu", tmp_path)

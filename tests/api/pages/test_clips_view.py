@@ -1,12 +1,17 @@
 """Clips on the page: sent by the file input, listed with what a worker found, and looked at."""
 
+from hashlib import sha256
 from typing import Any
 
 from playwright.sync_api import expect
 
+from core.clips.record import REPLAY, SCENE, MadeFile
+from core.rendering.replay.replay import scene_of
+from core.storage import keys
 from tests.api.conftest import Stack
 from tests.api.pages.conftest import Tab, flaws
-from tests.api.test_clips import DESCRIPTION, FILE, worker
+from tests.api.pages.test_replay import MODEL, MOTION, drawn, replay
+from tests.api.test_clips import DESCRIPTION, FILE, send, worker
 
 CHOOSER = "Choose a file of clips"
 SENT: Any = {"name": "walks.csv", "mimeType": "text/csv", "buffer": FILE}
@@ -34,3 +39,20 @@ def test_refused_clips_say_why(tab: Tab, stack: Stack) -> None:
     with worker(stack, status="refused", message="The file gives no rate: send `rate`."):
         page.get_by_label(CHOOSER).set_input_files(SENT)
         expect(page.get_by_role("alert").filter(has_text="The file gives no rate")).to_be_visible()
+
+
+def test_each_clip_is_looked_at_as_a_replay(tab: Tab, stack: Stack) -> None:
+    scene = scene_of(MODEL, MOTION.qpos[0], 2)
+    content = {REPLAY: replay(2), SCENE: scene}
+    made = {name: MadeFile(sha256=sha256(body).hexdigest(), size=len(body)) for name, body in content.items()}
+    with worker(stack, status="ready", description=DESCRIPTION.model_copy(update={"made": made})):
+        clips = send(stack.http, name="walks").json()["id"]
+    for name, body in content.items():
+        stack.objects.put(keys.made_of_clips(clips, name), body)
+    page = tab.open("#/clips")
+    page.get_by_role("button", name="Look at them").click()
+    expect(page.get_by_role("img", name="Replay of walk")).to_be_visible()
+    drawn(page)
+    page.get_by_label("Clip", exact=True).select_option("turn")
+    expect(page.get_by_role("img", name="Replay of turn")).to_be_visible()
+    assert flaws(page) == []

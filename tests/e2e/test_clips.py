@@ -1,0 +1,45 @@
+"""Clips with real parts: from a file to a training that follows them, on a small body of a user's own."""
+
+from pathlib import Path
+
+import pytest
+
+from core.clips import archive
+from gaitway.client import Client
+from gaitway.errors import Conflict, Rejected
+from tests.unit.worker.validation.test_clips import HOPS, hop
+
+pytestmark = [pytest.mark.extra, pytest.mark.timeout(300)]  # It compiles an update.
+
+ALGORITHM = {
+    "num_timesteps": 1280,
+    "num_envs": 64,
+    "unroll_length": 10,
+    "batch_size": 16,
+    "num_minibatches": 4,
+    "num_evals": 2,
+    "num_eval_envs": 4,
+    "episode_length": 50,
+    "policy_hidden_layer_sizes": [16],
+    "value_hidden_layer_sizes": [16],
+}
+
+
+def test_a_body_trains_to_follow_clips_that_were_sent(client: Client, tmp_path: Path) -> None:
+    (model_file := tmp_path / "hops.xml").write_bytes(HOPS)
+    model = client.add_model(model_file)
+    (file := tmp_path / "hops.npz").write_bytes(archive.to_bytes([hop(), hop("stay", frames=30)]))
+    clips = client.add_clips(file, model.id)
+    assert clips.description is not None
+    assert [clip.name for clip in clips.description.clips] == ["hop", "stay"]
+    reference = {"clips": [{"file": clips.id, "names": ["hop"]}]}
+    options = {"model": model.id, "reference": reference, "reward": [{"kind": "track_joints"}]}
+    environment = {"id": "mjcf", "options": options}
+    job = client.submit(environment=environment, algorithm=ALGORITHM, video=None)
+    with pytest.raises(Conflict, match="unfinished jobs need the clips"):
+        client.delete_clips(clips.id)
+    job = client.wait(job.id, timeout=280)
+    assert job.succeeded, job.message
+    client.delete_clips(clips.id)
+    with pytest.raises(Rejected, match="There are no clips"):
+        client.submit(environment=environment, algorithm=ALGORITHM)
