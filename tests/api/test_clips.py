@@ -79,7 +79,13 @@ def clips(stack: Stack) -> str:
 
 
 def job(*choices: dict[str, Any], environment: str = "g1") -> dict[str, Any]:
-    options = {"reference": {"clips": choices}, "reward": [{"kind": "track_joints"}], "command": None}
+    options = {
+        "reference": {"clips": choices},
+        "reward": [{"kind": "track_joints"}],
+        "observation": [{"kind": "qpos"}],
+        "critic": None,
+        "command": None,
+    }
     return {"kind": "train", "environment": {"id": environment, "options": options}}
 
 

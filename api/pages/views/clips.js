@@ -133,7 +133,7 @@ function Replay({ file, query }) {
   return html`<${Player} Stage=${modules.data[0].Stage} shown=${shown} start=${null} name="Replay of ${clips[number - 1].name}" options=${options}
     setOption=${(name, value) => setOptions({ ...options, [name]: value })} onPause=${() => undefined}>
     ${clips.length > 1 && html`<label>Clip
-      <select value=${number} onChange=${(event) => change({ clip: event.target.value }, true)}>
+      <select aria-label="Clip" value=${number} onChange=${(event) => change({ clip: event.target.value }, true)}>
         ${clips.map(({ name }, index) => html`<option value=${index + 1}>${name}</option>`)}
       </select></label>`}
   <//>`;

@@ -53,6 +53,6 @@ def test_each_clip_is_looked_at_as_a_replay(tab: Tab, stack: Stack) -> None:
     page.get_by_role("button", name="Look at them").click()
     expect(page.get_by_role("img", name="Replay of walk")).to_be_visible()
     drawn(page)
-    page.get_by_label("Clip", exact=True).select_option("turn")
+    page.get_by_role("combobox", name="Clip", exact=True).select_option("turn")
     expect(page.get_by_role("img", name="Replay of turn")).to_be_visible()
     assert flaws(page) == []
