@@ -140,7 +140,10 @@ def check_readable_uploads(
     problems: list[Problem] = []
     if isinstance(model := environment.options.get("model"), str):
         problems += _hidden(model, store.models, readable, "model")
+    places: dict[str, int] = {}
     for place, file in named_clips(environment):
+        places.setdefault(file, place)
+    for file, place in places.items():
         problems += _hidden(file, store.clips, readable, f"reference/clips/{place}/file")
     if problems:
         raise Rejected(" ".join(problem.detail for problem in problems[:5]), problems)

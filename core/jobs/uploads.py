@@ -1,6 +1,7 @@
 """The files that users sent and that jobs name."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache, partial
 from typing import Protocol, cast
 
 from core.clips.options import ClipChoice
@@ -56,21 +57,25 @@ def check_clips(environment: EnvironmentSpec, info: EnvironmentInfo, uploads: Up
     """
     reference: object = getattr(info.option_values, "reference", None)
     choices: Sequence[ClipChoice] = getattr(reference, "clips", ())
+    find = cache(partial(library.find, store=uploads.clips))  # Many choices may be of one file.
     problems = [
         Problem(f"/environment/options/reference/clips/{place}/{field}", detail)
         for place, choice in enumerate(choices)
-        for field, detail in _clip_problems(choice, environment, info, uploads.clips)
+        for field, detail in _clip_problems(choice, environment, info, find)
     ]
     if problems:
         raise Rejected(" ".join(problem.detail for problem in problems[:5]), problems)
 
 
 def _clip_problems(
-    choice: ClipChoice, environment: EnvironmentSpec, info: EnvironmentInfo, store: ClipStore
+    choice: ClipChoice,
+    environment: EnvironmentSpec,
+    info: EnvironmentInfo,
+    find: Callable[[str], ClipFile],
 ) -> Iterator[tuple[str, str]]:
     """The field of each problem, and a sentence."""
     try:
-        record = library.find(choice.file, store)
+        record = find(choice.file)
     except ClipsNotFound as error:
         yield "file", error.detail
         return
@@ -88,12 +93,11 @@ def _clip_problems(
                 known = ", ".join(names[:20])
                 yield "names", f"No clip of {record.id} is called {pattern!r}; it has {known}."
         for clip in clips:
-            if clip.name in wanted and max(choice.from_s, choice.to_s or 0.0) > clip.seconds:
-                past = "from_s" if choice.from_s > clip.seconds else "to_s"
-                yield (
-                    past,
-                    f"{past} is past the end of the clip {clip.name!r}, which lasts {clip.seconds:g} s.",
-                )
+            end = clip.seconds + 1e-6
+            if clip.name in wanted and max(choice.from_s, choice.to_s or 0.0) > end:
+                past = "from_s" if choice.from_s > end else "to_s"
+                what = f"the clip {clip.name!r}, which takes {clip.seconds:g} s"
+                yield past, f"{past} is past the end of {what}."
 
 
 def _misfits(

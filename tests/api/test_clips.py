@@ -178,7 +178,7 @@ def test_a_job_names_clips_of_its_body_and_they_stay_while_it_needs_them(stack: 
     ("choice", "place", "detail"),
     [
         ({"names": ["gallop"]}, "names", "No clip of sha256:"),
-        ({"names": ["turn"], "from_s": 1.5}, "from_s", "the clip 'turn' takes 1 s"),
+        ({"names": ["turn"], "from_s": 1.5}, "from_s", "the clip 'turn', which takes 1 s"),
         ({"names": ["turn"], "to_s": 1.5}, "to_s", "to_s is past the end"),
         ({"file": f"sha256:{'f' * 64}"}, "file", "`POST /clips` makes them"),
     ],
