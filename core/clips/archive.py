@@ -42,7 +42,7 @@ def from_file(path: Path) -> list[Clip]:
     try:
         with np.load(path, allow_pickle=False) as file:
             return _clips({name: file[name] for name in file.files})
-    except (zipfile.BadZipFile, EOFError, OSError, KeyError, TypeError) as error:
+    except (zipfile.BadZipFile, EOFError, OSError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path.name} is not a whole file of clips: {error}") from None
 
 

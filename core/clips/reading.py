@@ -145,14 +145,13 @@ def _some(names: Mapping[str, Any] | set[str]) -> str:
 
 def _labels(recordings: Sequence[Recording], name: str) -> Iterator[str]:
     """Names of which no two are the same."""
-    used = set[str]()
+    used = dict[str, int]()
     for recording in recordings:
         label = plain = (recording.name or name)[:LONGEST_NAME]
-        number = 1
         while label in used:
-            number += 1
-            label = f"{plain}_{number}"
-        used.add(label)
+            used[plain] += 1
+            label = f"{plain}_{used[plain]}"
+        used[label] = 1
         yield label
 
 

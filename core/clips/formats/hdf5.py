@@ -29,7 +29,10 @@ def opened(path: Path) -> Generator[Any]:
 
 
 def members(group: Any) -> Mapping[str, Any]:
-    """Groups and arrays that lie in this group itself, by name. Raises BadClips for too many."""
+    """Groups and arrays that lie in this group itself, by name. Raises BadClips for too many, and for what is
+    no group."""
+    if is_array(group):
+        raise BadClips(f"`{group.name}` is an array, not a group.")
     if len(group) > MOST_MEMBERS:
         raise BadClips(f"The HDF5 file has {len(group):,} members; at most {MOST_MEMBERS:,} are read.")
     found: dict[str, Any] = {}

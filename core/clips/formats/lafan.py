@@ -26,8 +26,10 @@ def recordings(path: Path) -> list[Recording]:
     header: list[str] | None = None
     if lines and not _is_numeric(lines[0][1]):
         header = [name.strip().strip('"') for name in lines.pop(0)[1].split(",")]
-    width = len(lines[0][1].split(",")) if lines else _ROOT
-    if header is not None and lines and len(header) != width:
+    if not lines:
+        raise BadClips("The file has no line of numbers.")
+    width = len(lines[0][1].split(","))
+    if header is not None and len(header) != width:
         raise BadClips(f"The header has {len(header)} names, but line {lines[0][0]} has {width} numbers.")
     if len(lines) * width > MOST_NUMBERS:
         raise BadClips(f"The file has {len(lines):,} lines: at most {MOST_NUMBERS:,} numbers are read.")

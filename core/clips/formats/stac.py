@@ -97,7 +97,7 @@ def _text(member: Any) -> str:
 
 def _setting(config: str, name: str) -> float | None:
     """A number in the text, whichever section it is in."""
-    found = re.search(rf"^\s*{name}:\s*([0-9.]+)\s*$", config, re.MULTILINE)
+    found = re.search(rf"^\s*{name}:\s*(\d{{1,9}}(?:\.\d*)?)\s*$", config, re.MULTILINE)
     return None if found is None else float(found[1])
 
 

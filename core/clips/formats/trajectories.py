@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from core.errors import BadClips
 
 NAME = "trajectory"
 _FORMAT = "gaitway-trajectory"
+_MOVED = ("hinge", "slide")
 
 
 def is_one(about: Mapping[str, Any]) -> bool:
@@ -18,7 +20,8 @@ def is_one(about: Mapping[str, Any]) -> bool:
 
 
 def recordings(file: Mapping[str, Any], about: Mapping[str, Any]) -> list[Recording]:
-    """A clip an episode, with its velocities. The root is the first free joint. Raises BadClips."""
+    """A clip an episode, with its velocities. The root is the free joint with the most joints behind it, up
+    to the next free one: others are of things that the body meets. Raises BadClips."""
     try:
         joints = [
             (joint["type"], joint["name"], joint["qpos_start"], joint["qvel_start"])
@@ -33,8 +36,7 @@ def recordings(file: Mapping[str, Any], about: Mapping[str, Any]) -> list[Record
 def _recording(file: Mapping[str, Any], name: str, joints: list[tuple[Any, ...]]) -> Recording:
     time = numbers(file[f"{name}/time"], f"{name}/time", (1,))
     places, speeds = (numbers(file[f"{name}/{part}"], f"{name}/{part}") for part in ("qpos", "qvel"))
-    moved = [joint for joint in joints if joint[0] in ("hinge", "slide")]
-    root = next((joint for joint in joints if joint[0] == "free"), None)
+    root, moved = _body(joints)
     facts: dict[str, Any] = {}
     if root is None:
         facts["root_position"], facts["root_orientation"] = at_the_origin(len(places))
@@ -52,6 +54,16 @@ def _recording(file: Mapping[str, Any], name: str, joints: list[tuple[Any, ...]]
         rate=None if len(time) < 2 else round(float(1 / np.median(np.diff(time))), 6),
         **facts,
     )
+
+
+def _body(joints: list[tuple[Any, ...]]) -> tuple[tuple[Any, ...] | None, list[tuple[Any, ...]]]:
+    """The root, None for a body that is fixed to the world, and its hinges and slides."""
+    starts = [place for place, joint in enumerate(joints) if joint[0] == "free"]
+    if not starts:
+        return None, [joint for joint in joints if joint[0] in _MOVED]
+    runs = [joints[start:end] for start, end in pairwise([*starts, len(joints)])]
+    root, *others = max(runs, key=len)
+    return root, [joint for joint in others if joint[0] in _MOVED]
 
 
 def about_of(file: Mapping[str, Any], names: set[str]) -> Mapping[str, Any]:

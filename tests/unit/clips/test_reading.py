@@ -20,7 +20,7 @@ from core.clips.skeleton import skeleton_of
 from core.environments import trajectory
 from core.environments.trajectory import Episode, Trajectory
 from core.errors import BadClips
-from tests.unit.clips.bodies import BY_DEPTH, JOINTS, walker, walking
+from tests.unit.clips.bodies import BY_DEPTH, JOINTS, WALKER, walker, walking
 
 WALK = walking()
 ROWS = np.concatenate([WALK.root_position, WALK.root_orientation, WALK.joint_positions], axis=1)
@@ -112,6 +112,7 @@ class TestLafan:
             ("0,0,1,0,0,0,1,0,0,0\n", "it has 3 joints, without names, and the body has 7"),
             ("a,b\n0,0,1,0,0,0,1,0.1\n", "The header has 2 names, but line 2 has 8 numbers"),
             ("", "The file is empty"),
+            ("not a clip\n", "The file has no line of numbers"),
         ],
     )
     def test_a_bad_line_is_named(
@@ -171,6 +172,12 @@ class TestStac:
         with pytest.raises(BadClips, match="The HDF5 file has nothing, which is no known format"):
             read(tmp_path / "link.h5", model, rate=30)
 
+    def test_an_array_in_place_of_a_group_is_said(self, model: mujoco.MjModel, tmp_path: Path) -> None:
+        with h5py.File(tmp_path / "mocap.h5", "w") as file:
+            file["clip/walkers"] = ROWS
+        with pytest.raises(BadClips, match="`/clip/walkers` is an array, not a group"):
+            read(tmp_path / "mocap.h5", model)
+
     def test_a_cut_off_file_is_refused(self, model: mujoco.MjModel, tmp_path: Path) -> None:
         with h5py.File(tmp_path / "ik.h5", "w") as file:
             file["qpos"] = ROWS
@@ -202,9 +209,14 @@ def test_dm_controls_clips_are_of_its_humanoid() -> None:
     assert nearest.max() < 1e-3
 
 
-def test_our_trajectories_keep_their_velocities(model: mujoco.MjModel, tmp_path: Path) -> None:
+def test_our_trajectories_keep_their_velocities(tmp_path: Path) -> None:
+    # A box stands beside the body; it comes first in the model.
+    box = '<body pos="2 0 0.2"><freejoint/><geom type="box" size="0.2 0.2 0.2"/></body>'
+    model = mujoco.MjModel.from_xml_string(WALKER.replace('<body name="torso"', box + '<body name="torso"'))
     moving = with_velocities(WALK)
-    speeds = np.concatenate([np.full((61, 3), 0.5), np.full((61, 3), 0.25), np.full((61, 7), 0.125)], axis=1)
+    speeds = np.concatenate(
+        [np.zeros((61, 6)), np.full((61, 3), 0.5), np.full((61, 3), 0.25), np.full((61, 7), 0.125)], axis=1
+    )
     episode = Episode(
         time=np.arange(61) / 30,
         qpos=qpos(moving, skeleton_of(model)).astype(np.float32),
