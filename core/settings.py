@@ -400,6 +400,19 @@ class WorkerSettings(StoreSettings):
         description="The GPUs of this machine that jobs of 1, 2, 4 and more GPUs share out, e.g. gpu:0-7. "
         "`worker.fleet` passes it on to its workers; by default all GPUs.",
     )
+    seats: int = Field(
+        2,
+        ge=1,
+        le=8,
+        description="How many jobs may share a GPU, of those that ask for it; `worker.fleet` starts as many "
+        "workers for each GPU.",
+    )
+    seat: int = Field(
+        0,
+        ge=0,
+        lt=8,
+        description="Which of the workers of its GPU this one is, from 0. `worker.fleet` sets it.",
+    )
     hosts: int = Field(
         1,
         ge=1,

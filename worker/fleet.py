@@ -1,6 +1,6 @@
-"""One worker for each GPU of this machine, which share out all of them among jobs of 1, 2, 4, … GPUs:
-`python -m worker.fleet`. Or a worker for each of the named devices, each for jobs of as many GPUs as it has:
-`python -m worker.fleet cpu cpu`, `python -m worker.fleet gpu:0,1 gpu:2,3`.
+"""Workers for each GPU of this machine, which share out all of them among jobs of 1, 2, 4, … GPUs, and parts
+of them among jobs that share a GPU: `python -m worker.fleet`. Or a worker for each of the named devices, each
+for jobs of as many GPUs as it has: `… cpu cpu`, `… gpu:0,1 gpu:2,3`.
 """
 
 import os
@@ -19,6 +19,7 @@ import structlog
 from core.configuration import stopping_if_misconfigured
 from core.devices import device_name, gpu_indices
 from core.errors import EXIT_STATUS, Misconfigured
+from core.settings import WorkerSettings
 from core.telemetry import configure_logging
 from core.variables import variable
 from worker.host.child import launch
@@ -37,12 +38,14 @@ class Member:
     """A worker on a device or several GPUs. The pause grows each time it ends soon after its start.
 
     alive_file: the file it touches, for a health check. pool: the GPUs that it shares out with the others.
-    has_lived: whether it ever ran for long.
+    seat: which of the workers of its GPU it is; None where there is one. has_lived: whether it ever ran for
+    long.
     """
 
     device: str
     alive_file: Path | None = None
     pool: str | None = None
+    seat: int | None = None
     has_lived: bool = False
     child: subprocess.Popen[bytes] | None = None
     started_at: float = 0.0
@@ -76,16 +79,22 @@ class Member:
         self.child = launch(COMMAND, self._variables(), stdout=None, stderr=None)
 
     def _variables(self) -> dict[str, str]:
-        own = {"device": self.device, "alive_file": self.alive_file, "pool": self.pool}
+        own = {
+            "device": self.device,
+            "alive_file": self.alive_file,
+            "pool": self.pool,
+            "seat": self.seat,
+        }
         outer = {name: value for name, value in os.environ.items() if name not in map(variable, own)}
         return outer | {variable(name): str(value) for name, value in own.items() if value is not None}
 
 
-def members_on(devices: Sequence[str], pool: str | None = None) -> list[Member]:
-    """One for each device, with a sign of life of its own where GAITWAY_ALIVE_FILE is set."""
+def members_on(devices: Sequence[str], pool: str | None = None, seats: int = 1) -> list[Member]:
+    """One for each seat on each device, with a sign of life of its own where GAITWAY_ALIVE_FILE is set."""
+    places = [(device, seat if seats > 1 else None) for device in devices for seat in range(seats)]
     file = os.environ.get(variable("alive_file"))
-    signs = begin_fleet(Path(file), len(devices)) if file else [None] * len(devices)
-    return [Member(device, sign, pool) for device, sign in zip(devices, signs, strict=True)]
+    signs = begin_fleet(Path(file), len(places)) if file else [None] * len(places)
+    return [Member(device, sign, pool, seat) for (device, seat), sign in zip(places, signs, strict=True)]
 
 
 def serve(members: Sequence[Member]) -> None:
@@ -114,6 +123,7 @@ def main(devices: Sequence[str]) -> None:
     """Serve until a SIGTERM."""
     configure_logging("fleet")
     pool = None if devices else _pool()
+    seats = _seats() if pool else 1
     devices = devices or [device_name([gpu]) for gpu in gpu_indices(pool or "cpu")]
     if len(devices) > 1 and os.environ.get(variable("hosts"), "1") != "1":
         raise Misconfigured(
@@ -131,7 +141,8 @@ def main(devices: Sequence[str]) -> None:
             "waiting. Name each GPU once."
         )
     log.info("fleet_started", devices=devices)
-    serve(members_on(devices, pool if len(devices) > 1 else None))
+    is_shared = len(devices) > 1 or seats > 1
+    serve(members_on(devices, pool if is_shared else None, seats))
 
 
 def _pool() -> str | None:
@@ -139,6 +150,17 @@ def _pool() -> str | None:
     named = os.environ.get(variable("pool"))
     gpus = gpu_indices(named) if named else range(len(visible_gpus()))
     return device_name(gpus) if gpus else None
+
+
+def _seats() -> int:
+    """How many jobs may share a GPU. Raises Misconfigured, as each worker would."""
+    default = WorkerSettings.model_fields["seats"].default
+    said = os.environ.get(variable("seats"), str(default))
+    if not said.isdecimal() or int(said) < 1:
+        raise Misconfigured(
+            f"{variable('seats')}={said} is no number of jobs that may share a GPU, such as 2."
+        )
+    return int(said)
 
 
 if __name__ == "__main__":

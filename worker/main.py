@@ -31,7 +31,7 @@ from core.environments.plugins import log_each
 from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.installation import to_install
 from core.jobs.job import utc_now
-from core.jobs.queue import MODELS, PREVIEWS, queue_names
+from core.jobs.queue import MODELS, PREVIEWS, SHARED, queue_names
 from core.jobs.slots import kind_of_queue
 from core.jobs.store import JobStore
 from core.jobs.tallies import Report, Tallies
@@ -44,7 +44,7 @@ from worker.gang.place import Place, place_of
 from worker.host import device_health
 from worker.host.allocation import TimeLeft, allocation
 from worker.host.device import device_memory, device_of, visible_gpus
-from worker.host.device_health import DeviceHealth
+from worker.host.device_health import DeviceHealth, SeatHealth
 from worker.host.disk import check_folder
 from worker.host.health import show_life
 from worker.host.locks import remove_free_locks, slot_names
@@ -92,13 +92,16 @@ class GaitwayWorker(rq.Worker):
         self._tallies = tallies or Tallies()
         self._report = Report(self._tallies, store.add_tallies)
         self._objects = object_store(settings)
-        self._health = health or health_of(device, settings)
+        if pool is not None and pool.seat > 0:
+            self._health = SeatHealth(pool.data_dir, pool.locks[pool.own])
+        else:
+            self._health = health or health_of(device, settings)
         self._alive_file = settings.alive_file
         self._data_dir = settings.data_dir
         self._horse_is_stopped = False
         self._is_announcing = False
         # Of a pool's workers one is enough: it uses a GPU that a job of several may wait for.
-        prepares = gang is None and (pool is None or pool.own == min(pool.locks))
+        prepares = gang is None and (pool is None or (pool.own, pool.seat) == (min(pool.locks), 0))
         self._preparation = IdlePreparation(device, settings.prepared if prepares else ())
         self._idle_since = inf
         self._had_turns = tuple[str, ...]()
@@ -108,6 +111,8 @@ class GaitwayWorker(rq.Worker):
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
         hosts = 1 if gang is None else gang.place.hosts
         queues = queue_names(device, hosts, 1 if pool is None else len(pool.locks))
+        if pool is not None and pool.seat > 0:
+            queues = SHARED
         now = utc_now()
         self._info = WorkerInfo(
             name=name,
@@ -116,6 +121,8 @@ class GaitwayWorker(rq.Worker):
             device=device,
             hosts=hosts,
             pool=None if pool is None else pool.device,
+            seats=1 if pool is None else pool.seats,
+            seat=0 if pool is None else pool.seat,
             queues=queues,
             memory_bytes=device_memory(device, settings.memory_limit),
             packages=packages_here(),
@@ -253,11 +260,14 @@ class GaitwayWorker(rq.Worker):
         self._order_queues()
 
     def _order_queues(self) -> None:
-        """Those that it asks now, in their order: a pool's worker asks for no more GPUs than are free."""
+        """Those that it asks now, in their order: a pool's worker asks for no more than is free."""
         queues = self.queues
-        if self._membership is not None:
-            most = self._membership.most_gpus
-            queues = [queue for queue in queues if kind_of_queue(queue.name).gpus <= most]
+        if (members := self._membership) is not None:
+            queues = [
+                queue
+                for queue in queues
+                if members.asks(kind_of_queue(queue.name), shared=queue.name in SHARED)
+            ]
         self._ordered_queues = sorted(queues, key=lambda queue: queue.name in self._had_turns)
 
     def _end_in_time(self) -> None:

@@ -157,7 +157,8 @@ class GangPart(Stored):
 class Task(Stored):
     """The task that the supervisor leaves in the spool, as `task.json`, for the training process.
 
-    device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. correlation_id: the job's. checkpoint: path of the
+    device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. gpu_part: of the GPU's memory, if it shares the
+    GPU. correlation_id: the job's. checkpoint: path of the
     state to resume from (training), or to take the policy from (rollout). checkpoint_step: its environment
     step. policy_of: the algorithm, where it is the file of a policy instead. policy_seed: whose policy to
     take from a checkpoint of several seeds. best: of a training's earlier attempts, one for each seed. model:
@@ -174,6 +175,7 @@ class Task(Stored):
     attempt: int
     spec: SentSpec
     device: str
+    gpu_part: float | None = None
     correlation_id: str | None = None
     checkpoint: str | None = None
     checkpoint_step: int = 0

@@ -143,7 +143,7 @@ def _from_pool(
             pool.note_kept(str(error))
             put_back()
             return None, None
-        return claim, None if claim is None else turn.keep(claim.device, claim.job_id)
+        return claim, None if claim is None else turn.keep(claim.device, claim.job_id, claim.gpu_part)
 
 
 def validate_model(model_id: str) -> None:

@@ -26,7 +26,8 @@ _FAILURES = RETRIED - {Reason.WORKER_LOST}
 class Claim:
     """An attempt that holds its job. Each method may be called again if its answer was lost.
 
-    device: the GPUs that it was given, where its worker belongs to a pool; else empty.
+    device: the GPUs that it was given, where its worker belongs to a pool; else empty. gpu_part: of the GPU's
+    memory, where it shares the GPU.
     """
 
     job_id: str
@@ -36,6 +37,7 @@ class Claim:
     objects: ObjectStore
     correlation_id: str | None = None
     device: str = ""
+    gpu_part: float | None = None
 
     def start(self, **facts: Any) -> Job:
         """Set the job to running, with facts about the attempt. A job that is being cancelled stays so.
@@ -158,7 +160,16 @@ def claim_turn(  # noqa: PLR0913 # Who, what, and where it is written.
         return None
     attempt = job.attempts[-1]
     given = attempt.details.get(GIVEN, "")
-    return Claim(job.id, attempt.number, job.token, store, objects, job.correlation_id, given)
+    return Claim(
+        job.id,
+        attempt.number,
+        job.token,
+        store,
+        objects,
+        job.correlation_id,
+        given,
+        attempt.gpu_part,
+    )
 
 
 def claim_attempt(  # noqa: PLR0913 # Who, what, and where it is written.

@@ -5,6 +5,7 @@ from itertools import islice
 
 from core.algorithms.battery.spec import follows_velocity
 from core.algorithms.catalog import reported
+from core.algorithms.memory import shown
 from core.algorithms.spec import BaseSpec, check_resumption
 from core.bounds import LARGEST_JOB_BYTES, MOST_PROBLEMS, json_bytes
 from core.environments.info import Device, EnvironmentInfo
@@ -49,6 +50,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     _check_randomization(spec, job)
     _check_video(spec, info)
     _check_devices(spec)
+    _check_share(spec, job, store)
     _check_battery(spec, job)
     match spec:
         case TrainSpec():
@@ -133,6 +135,37 @@ def _check_devices(spec: JobSpec) -> None:
         places = ("/resources/gpus",)
     if places:
         raise Rejected(detail, [Problem(place, detail) for place in places])
+
+
+def _check_share(spec: JobSpec, job: ResolvedJob, store: JobStore) -> None:
+    """Refuse a part of a GPU that contradicts other wishes, that no GPU has, or that is too small."""
+    resources, detail = spec.resources, None
+    others = [name for name, number in (("gpus", resources.gpus), ("hosts", resources.hosts)) if number > 1]
+    places = ["gpu_memory_gib"]
+    if not resources.share_gpu:
+        if resources.gpu_memory_gib is not None:
+            detail = "`gpu_memory_gib` is for a job that shares a GPU: set `share_gpu`, or leave it out."
+    elif resources.kind == "cpu":
+        detail, places = "The job shares a GPU, but its accelerator is `cpu`.", ["accelerator", "share_gpu"]
+    elif others:
+        detail = f"Only a job on one GPU can share it, and this one asks for several {' and '.join(others)}."
+        places = ["share_gpu", *others]
+    elif resources.gpu_bytes is not None:
+        detail = _part_is_wrong(resources.gpu_bytes, spec, job, store)
+    if detail is not None:
+        raise Rejected(detail, [Problem(f"/resources/{place}", detail) for place in places])
+
+
+def _part_is_wrong(asked: int, spec: JobSpec, job: ResolvedJob, store: JobStore) -> str | None:
+    """A sentence if no GPU has as many bytes, or the run needs more."""
+    sizes = [worker.memory_bytes for worker in store.workers() if kind_of(worker.device) == "gpu"]
+    known = [size for size in sizes if size is not None]
+    if known and len(known) == len(sizes) and asked > max(known):
+        largest = shown(max(known))
+        return f"The job asks for {shown(asked)} of a GPU, and the largest of a worker has {largest}."
+    if isinstance(spec, TrainSpec) and (need := job.memory_on("gpu", 1)).bytes > asked:
+        return need.does_not_fit(asked, "the part of a GPU that it asks for")
+    return None
 
 
 def _check_battery(spec: JobSpec, job: ResolvedJob) -> None:

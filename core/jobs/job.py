@@ -241,7 +241,12 @@ class Job(Stored):
         return f"{number}-{secret}"
 
     def claimed(
-        self, worker: str, now: datetime, secret: str = "", details: Mapping[str, Any] | None = None
+        self,
+        worker: str,
+        now: datetime,
+        secret: str = "",
+        details: Mapping[str, Any] | None = None,
+        gpu_part: float | None = None,
     ) -> Self:
         """The job as starting, with a new attempt; without a secret, a fresh one is made."""
         token = self.token_of(self.next_attempt, secret or secrets.token_hex(8))
@@ -249,6 +254,7 @@ class Job(Stored):
             number=self.next_attempt,
             token=token,
             worker=worker,
+            gpu_part=gpu_part,
             details=dict(details or {}),
             started_at=now,
         )

@@ -148,16 +148,13 @@ class _Soon:
 
     def end(self, held: Held) -> None:
         self._homes[held.pool].claims.end(held, 0.0)
-        self._free(held.pool, held.gpus)
+        self.pools[held.pool] = self.pools[held.pool].after_end(held)
 
     def start(self, request: Request, pool: str) -> None:
         side = self._homes[pool]
         side.claims.start(replace(request, expected_s=side.usual_s.get(request.who)))
-        self._free(pool, -request.gpus)
+        self.pools[pool] = self.pools[pool].after_start(request)
         self.settled.add(request.id)
-
-    def _free(self, pool: str, gpus: int) -> None:
-        self.pools[pool] = replace(self.pools[pool], free=self.pools[pool].free + gpus)
 
 
 def _side(device: Device, facts: TurnFacts, workers: Sequence[WorkerInfo]) -> _Side:

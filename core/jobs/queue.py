@@ -79,6 +79,7 @@ def queue_names(device: str, hosts: int = 1, pool: int = 1) -> tuple[str, ...]:
     jobs share out among themselves, where this device is one of them.
     """
     gpus = len(gpu_indices(device))
+    shared = SHARED if gpus else ()
     if hosts > 1:
         kind: Accelerator = "gpu" if gpus else "cpu"
         return tuple(queue_name(kind, priority, gpus * hosts or 1, hosts) for priority in PRIORITIES)
@@ -94,24 +95,33 @@ def queue_names(device: str, hosts: int = 1, pool: int = 1) -> tuple[str, ...]:
             for name in (
                 *(queue_name(kind, priority) for kind in kinds),
                 *(queue_name("gpu", priority, several) for several in range(2, pool + 1)),
+                *(name for name in shared if name.endswith(f"-{priority}")),
             )
         ),
     )
 
 
-def queue_name(accelerator: Accelerator, priority: Priority, gpus: int = 1, hosts: int = 1) -> str:
-    """The queue of jobs with these needs; gpus: on all hosts together.
+def queue_name(
+    accelerator: Accelerator, priority: Priority, gpus: int = 1, hosts: int = 1, *, shares: bool = False
+) -> str:
+    """The queue of jobs with these needs; gpus: on all hosts together; shares: with other jobs.
 
     Each number of GPUs and of hosts has its own, so that no worker's GPU idles.
     """
     several = f"{SEVERAL_HOSTS}{hosts}-" if hosts > 1 else "gaitway-"
-    return f"{several}{accelerator}{gpus if gpus > 1 else ''}-{priority}"
+    return f"{several}{accelerator}{gpus if gpus > 1 else ''}{'-shared' if shares else ''}-{priority}"
+
+
+# The queues of jobs that share a GPU.
+SHARED = tuple(queue_name("gpu", priority, shares=True) for priority in PRIORITIES)
 
 
 def queue_of(job: Job) -> str:
     """The queue of the job's next attempt."""
     resources = job.spec.resources
-    return queue_name(job.accelerator, job.spec.priority, resources.gpus, resources.hosts)
+    return queue_name(
+        job.accelerator, job.spec.priority, resources.gpus, resources.hosts, shares=resources.share_gpu
+    )
 
 
 def all_queues(of_several_hosts: Collection[str] = ()) -> Sequence[str]:
@@ -125,6 +135,7 @@ def all_queues(of_several_hosts: Collection[str] = ()) -> Sequence[str]:
         for priority in PRIORITIES
         for name in (
             *(queue_name(kind, priority) for kind in one),
+            queue_name("gpu", priority, shares=True),
             *(queue_name("gpu", priority, gpus) for gpus in range(2, MOST_GPUS + 1)),
             *(name for name in sorted(of_several_hosts) if name.endswith(f"-{priority}")),
         )

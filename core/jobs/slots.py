@@ -19,7 +19,7 @@ from core.jobs.queue import MODELS
 from core.jobs.spec import Accelerator
 
 # As `core.jobs.queue.queue_name` makes it.
-_QUEUE = re.compile(r"gaitway-(?:hosts(\d+)-)?(any|cpu|gpu)(\d*)-(?:high|normal|low)")
+_QUEUE = re.compile(r"gaitway-(?:hosts(\d+)-)?(any|cpu|gpu)(\d*)(?:-shared)?-(?:high|normal|low)")
 
 
 @dataclass(frozen=True, order=True)

@@ -183,13 +183,30 @@ class ResourcesSpec(Strict):
         description="How many machines share a training, each with an equal part of the GPUs; or each with "
         "its CPU, where `accelerator` is `cpu`.",
     )
+    share_gpu: bool = Field(
+        default=False,
+        description="Whether the job may have a part of a GPU, beside others; `any` then means `gpu`. How "
+        "much memory it needs is known from jobs like it; the first of its kind has a GPU alone.",
+    )
+    gpu_memory_gib: float | None = Field(
+        default=None,
+        ge=0.25,
+        le=1024,
+        description="GiB of the memory of the GPU that the job shares, in place of what was measured. It "
+        "gets no more.",
+    )
 
     @property
     def kind(self) -> Accelerator:
         """The kind of worker that the job needs: a job that says how many GPUs it shares needs one."""
-        if self.accelerator == "any" and "gpus" in self.model_fields_set:
+        if self.accelerator == "any" and ("gpus" in self.model_fields_set or self.share_gpu):
             return "gpu"
         return "gpu" if self.gpus > 1 else self.accelerator
+
+    @property
+    def gpu_bytes(self) -> int | None:
+        """What it asks for of a GPU's memory."""
+        return None if self.gpu_memory_gib is None else int(self.gpu_memory_gib * 2**30)
 
     @property
     def num_devices(self) -> int:

@@ -16,7 +16,7 @@ a month of it.
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from heapq import heapify, heappop, heapreplace
 
 from core.jobs.spec import Priority
@@ -36,6 +36,8 @@ class Request:
     """A waiting job. rank: 0 for the highest priority. gpus: 0 for one that takes a machine's CPU.
 
     expected_s: for how long such jobs have run; None where nothing was measured. kind: of the slot it needs.
+    memory: the bytes of a GPU that a job needs which shares one; None for one that has its GPUs alone, as the
+    first of its kind also has.
     """
 
     id: str
@@ -44,14 +46,16 @@ class Request:
     gpus: int = 1
     expected_s: float | None = None
     kind: str = ""
+    memory: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
     """A running job, with what it holds of which pool. ends_at: an estimate; None without one.
 
-    lost_s: the seconds of work that it would do again after a drain. is_preemptible: it said so itself.
-    yields_to: the waiting job for which it drains; empty without one.
+    shares: the GPU that it shares; empty where it has its GPUs alone. part: of that GPU's memory; memory: the
+    same in bytes. lost_s: the seconds of work that it would do again after a drain. is_preemptible: it said
+    so itself. yields_to: the waiting job for which it drains; empty without one.
     """
 
     id: str
@@ -64,13 +68,26 @@ class Held:
     is_preemptible: bool = False
     lost_s: float = 0.0
     yields_to: str = ""
+    shares: str = ""
+    part: float = 1.0
+    memory: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SharedGpu:
+    """What is left of a GPU that jobs share. seats: how many may join them; bytes: of its memory."""
+
+    seats: int
+    bytes: int
 
 
 @dataclass(frozen=True, slots=True)
 class Pool:
     """The GPUs of a machine that jobs share out among themselves (is_shared); or a slot for one job.
 
-    kinds: of the requests that it takes; none: of any. free: how many GPUs no job holds.
+    kinds: of the requests that it takes; none: of any. free: how many GPUs no job holds. seats: how many jobs
+    may share a GPU, and gpu_bytes: how much of its memory they have together; 0 where none may. shared: the
+    GPUs that jobs share now, by their names.
     """
 
     name: str
@@ -78,13 +95,56 @@ class Pool:
     free: int
     kinds: frozenset[str] = frozenset()
     is_shared: bool = False
+    seats: int = 1
+    gpu_bytes: int = 0
+    shared: Mapping[str, SharedGpu] = field(default_factory=dict[str, SharedGpu])
 
     def could_hold(self, request: "Request") -> bool:
         """Once its jobs have ended."""
         return request.gpus <= self.gpus and (not self.kinds or request.kind in self.kinds)
 
     def has_room(self, request: "Request") -> bool:
-        return request.gpus <= self.free and self.could_hold(request)
+        return self.could_hold(request) and (request.gpus <= self.free or self.joined(request) is not None)
+
+    def may_share(self, request: "Request") -> bool:
+        """Whether the job would have a part of a GPU here; otherwise it has one alone."""
+        return request.memory is not None and request.memory <= self.gpu_bytes
+
+    def joined(self, request: "Request") -> str | None:
+        """The GPU on which it can join others: the fullest, so that large parts stay whole."""
+        if request.memory is None:
+            return None
+        fitting = [
+            (one.bytes, gpu)
+            for gpu, one in self.shared.items()
+            if one.seats > 0 and request.memory <= one.bytes
+        ]
+        return min(fitting)[1] if fitting else None
+
+    def after_start(self, request: "Request") -> "Pool":
+        """Once this job, for which there is room, runs here."""
+        memory, gpu = request.memory or 0, self.joined(request)
+        if gpu is not None:
+            one = self.shared[gpu]
+            return self._with(gpu, SharedGpu(one.seats - 1, one.bytes - memory))
+        taken = replace(self, free=self.free - request.gpus)
+        if not self.may_share(request):
+            return taken
+        return taken._with(f"of {request.id}", SharedGpu(self.seats - 1, self.gpu_bytes - memory))
+
+    def after_end(self, held: Held) -> "Pool":
+        """Once this running job has ended."""
+        one = self.shared.get(held.shares)
+        if one is None:
+            return replace(self, free=self.free + held.gpus)
+        left = SharedGpu(one.seats + 1, one.bytes + held.memory)
+        if left.bytes < self.gpu_bytes:
+            return self._with(held.shares, left)
+        others = {gpu: one for gpu, one in self.shared.items() if gpu != held.shares}
+        return replace(self, free=self.free + 1, shared=others)
+
+    def _with(self, gpu: str, left: SharedGpu) -> "Pool":
+        return replace(self, shared={**self.shared, gpu: left})
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,11 +280,11 @@ class Standings:
 def _counted(held: Held, now: float) -> float:
     """As what a running job counts: all that it is expected to use."""
     until = now if held.ends_at is None else max(now, held.ends_at)
-    return cost(held.gpus, max(ADVANCE_S, until - held.started_at))
+    return held.part * cost(held.gpus, max(ADVANCE_S, until - held.started_at))
 
 
 def _used(held: Held, now: float) -> float:
-    return cost(held.gpus, now - held.started_at)
+    return held.part * cost(held.gpus, now - held.started_at)
 
 
 def _for_weight(use: float, weight: float) -> float:
@@ -276,7 +336,8 @@ class Share:
 class Started:
     """A running attempt, as the record has it. device: `gpu` or `cpu`; age_s: since its start.
 
-    worker: its name. rank, is_preemptible, yields_to: as in `Request` and `Held`.
+    worker: its name. rank, is_preemptible, yields_to: as in `Request` and `Held`. part: of its GPU's memory,
+    where it shares the GPU.
     """
 
     id: str
@@ -288,6 +349,7 @@ class Started:
     rank: int = 0
     is_preemptible: bool = False
     yields_to: str = ""
+    part: float | None = None
 
 
 @dataclass(frozen=True)
@@ -313,6 +375,7 @@ def held_of(one: Started, usual_s: Mapping[Who, float]) -> Held:
         pool=one.worker,
         is_preemptible=one.is_preemptible,
         yields_to=one.yields_to,
+        part=1.0 if one.part is None else one.part,
     )
 
 
@@ -376,7 +439,7 @@ def reserve(
 ) -> Reservation | None:
     """The pool that will have room for the job first; None if it is too large for all of them."""
     found = [
-        Reservation(request, pool.name, *_room(request.gpus, pool, running, now))
+        Reservation(request, pool.name, *_room(request, pool, running, now))
         for pool in pools
         if pool.could_hold(request)
     ]
@@ -385,15 +448,37 @@ def reserve(
     return min(found, key=lambda one: (one.from_s, one.spare < 0, -free[one.pool], one.pool), default=None)
 
 
-def _room(gpus: int, pool: Pool, running: Sequence[Held], now: float) -> tuple[float, int]:
-    """When the pool has this many GPUs, and how many it has then beyond them."""
+def _room(request: Request, pool: Pool, running: Sequence[Held], now: float) -> tuple[float, int]:
+    """When the pool has room for the job, and how many GPUs it has then beyond."""
     free, moment = pool.free, now
-    for ends_at, freed in sorted((_end(held, now), held.gpus) for held in running if held.pool == pool.name):
-        if free >= gpus:
+    for ends_at, freed in sorted(
+        (max(_end(held, now) for held in group), group[0].gpus) for group in together(pool, running)
+    ):
+        if free >= request.gpus:
             break
         free, moment = free + freed, ends_at
     # A process that is no job's may hold a GPU.
-    return moment if free >= gpus else math.inf, free - gpus
+    alone_at = moment if free >= request.gpus else math.inf
+    joins_at = min((_end(held, now) for held in _in_the_way(request, pool, running)), default=math.inf)
+    return (joins_at, pool.free) if joins_at < alone_at else (alone_at, free - request.gpus)
+
+
+def together(pool: Pool, running: Sequence[Held]) -> Sequence[Sequence[Held]]:
+    """The jobs of this pool: those that share a GPU, which is free when all of them have ended, as one."""
+    groups = defaultdict[str, list[Held]](list)
+    for held in running:
+        if held.pool == pool.name:
+            groups[held.shares or held.id].append(held)
+    return list(groups.values())
+
+
+def _in_the_way(request: Request, pool: Pool, running: Sequence[Held]) -> Sequence[Held]:
+    """The jobs of which one would have to end for the request to join the others on its GPU."""
+    if not pool.may_share(request) or request.memory is None:
+        return []
+    enough = {gpu: request.memory - one.bytes for gpu, one in pool.shared.items()}
+    sharing = [held for held in running if held.pool == pool.name and held.shares in enough]
+    return [held for held in sharing if held.memory >= enough[held.shares]]
 
 
 def _end(held: Held, now: float) -> float:
@@ -425,20 +510,23 @@ def to_drain(request: Request, pools: Sequence[Pool], running: Sequence[Held]) -
 
 
 def _victims(request: Request, pool: Pool, running: Sequence[Held]) -> list[Held]:
-    may = [held for held in running if held.pool == pool.name and may_yield(held, request)]
-    may.sort(key=lambda held: (-held.rank, held.lost_s * held.gpus, held.id))
-    chosen, free = list[Held](), pool.free
-    for held in may:
+    one = [[held] for held in _in_the_way(request, pool, running) if may_yield(held, request)]
+    if one:
+        return list(min(one, key=_loss))
+    may = [group for group in together(pool, running) if all(may_yield(held, request) for held in group)]
+    may.sort(key=lambda group: (_loss(group), group[0].id))
+    chosen, free = list[Sequence[Held]](), pool.free
+    for group in may:
         if free < request.gpus:
-            chosen.append(held)
-            free += held.gpus
+            chosen.append(group)
+            free += group[0].gpus
     if free < request.gpus:
         return []
-    for held in sorted(chosen, key=lambda held: held.lost_s * held.gpus, reverse=True):
-        if free - held.gpus >= request.gpus:  # Those after it were enough.
-            chosen.remove(held)
-            free -= held.gpus
-    return chosen
+    for group in sorted(chosen, key=lambda group: _loss(group)[1], reverse=True):
+        if free - group[0].gpus >= request.gpus:  # Those after it were enough.
+            chosen.remove(group)
+            free -= group[0].gpus
+    return [held for group in chosen for held in group]
 
 
 def may_yield(held: Held, request: Request) -> bool:

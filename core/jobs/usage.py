@@ -29,7 +29,7 @@ class LedgerEntry:
 
     status: the job's afterwards; `queued` if it waits for another attempt. host, device: the worker's, or the
     GPUs of a pool that it had; empty for a job that ended without an attempt. seconds: of the attempt in this
-    hour; gpu_seconds: those, times the GPUs.
+    hour; gpu_seconds: those, times the GPUs, or the part of one that it shared.
     """
 
     hour: datetime
@@ -63,7 +63,8 @@ class Ended:
 class RunningAttempt:
     """An attempt that holds its job now. worker: the first, where there is one on each of several hosts.
 
-    given: the GPUs that it was given of a pool; empty where it has its worker's.
+    given: the GPUs that it was given of a pool; empty where it has its worker's. part: of its GPU's memory,
+    if it shares the GPU, which counts as so much of a GPU.
     """
 
     project: str
@@ -72,6 +73,7 @@ class RunningAttempt:
     started_at: datetime
     hosts: int = 1
     given: str = ""
+    part: float = 1.0
 
     @property
     def where(self) -> tuple[str, str]:
@@ -80,9 +82,9 @@ class RunningAttempt:
         return host, self.given or device
 
     @property
-    def num_gpus(self) -> int:
+    def num_gpus(self) -> float:
         """Those of all hosts."""
-        return self.hosts * len(gpu_indices(self.where[1]))
+        return self.part * self.hosts * len(gpu_indices(self.where[1]))
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,7 @@ def entries(job: Job, before: JobStatus) -> list[LedgerEntry]:
     if attempt and (given := attempt.details.get(GIVEN)):
         device = str(given)
     began_at = min(attempt.started_at, ended_at) if attempt else ended_at  # A clock may have been set back.
+    part = 1.0 if attempt is None or attempt.gpu_part is None else attempt.gpu_part
     hours = list(hours_between(began_at, ended_at)) or [(beginning_of_hour(ended_at), 0.0)]
     last = hours[-1][0]
     return [
@@ -194,7 +197,7 @@ def entries(job: Job, before: JobStatus) -> list[LedgerEntry]:
             jobs=int(hour == last and job.status.is_final),
             attempts=int(hour == last and attempt is not None),
             seconds=seconds,
-            gpu_seconds=seconds * len(gpu_indices(device)) * job.spec.resources.hosts,
+            gpu_seconds=seconds * part * len(gpu_indices(device)) * job.spec.resources.hosts,
         )
         for hour, seconds in hours
     ]

@@ -179,7 +179,8 @@ class WorkerView(View):
     lacks a host, while a job of another worker of its pool has its GPU (`lent`), or while GPUs are kept for a
     larger job (`kept`). problem: a sentence on that. hosts: how many machines, each with such a device, take
     a job together. pool: the GPUs of its host, its own among them, that jobs of any number share out; null:
-    it has jobs on its own device alone. memory_bytes: of each device, where known. packages: the optional
+    it has jobs on its own device alone. seats: how many jobs may share its GPU, each under a worker of its
+    own; seat: which of these it is, from 0. memory_bytes: of each device, where known. packages: the optional
     packages that it has; null if a worker of an older version did not report them.
     allocation: what the cluster that started it calls the allocation it runs in: `scheduler`, `id`, `node`,
     `account`.
@@ -191,6 +192,8 @@ class WorkerView(View):
     device: str = ""
     hosts: int = 1
     pool: str | None = None
+    seats: int = 1
+    seat: int = 0
     queues: tuple[str, ...] = ()
     job: str | None = None
     jobs: tuple[str, ...] = ()

@@ -19,6 +19,7 @@ from core.jobs.job import Job
 from core.jobs.pools import NothingFits, Offer
 from core.jobs.queue import queue_name, queue_names
 from core.jobs.reconciliation import Reconciler
+from core.jobs.sharing import GIB
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.turns import Quota
@@ -103,6 +104,49 @@ def test_a_pool_gives_a_job_its_gpus_and_says_which(job_store: PostgresJobStore)
     assert second is not None
     assert (second.job_id, second.device) == (two.id, "gpu:2,3")
     assert take_of_pool(offer) is None
+
+
+def test_a_job_that_shares_a_gpu_gets_what_was_measured_of_jobs_like_it(job_store: PostgresJobStore) -> None:
+    """The first has a GPU of 16 GiB alone and takes 4 GiB: the next has 5 GiB, and one that asks for 2 GiB
+    has these."""
+    workers = [
+        WorkerInfo.model_validate(
+            {
+                "name": f"host:gpu:0:00000{seat}",
+                "host": "host",
+                "pid": 1,
+                "device": "gpu:0",
+                "pool": "gpu:0",
+                "queues": queue_names("gpu:0"),
+                "seats": 2,
+                "seat": seat,
+                "memory_bytes": 16 * GIB,
+                "started_at": NOW,
+                "seen_at": NOW,
+            }
+        )
+        for seat in (0, 1)
+    ]
+    asked = {"share_gpu": True}
+    first, second = add(job_store, resources=asked), add(job_store, resources=asked)
+    third = add(job_store, resources={**asked, "gpu_memory_gib": 2})
+    offer = Offer("host/gpu:0", 0, frozenset({0}), workers)
+    alone = take(job_store, "gpu:0", offer=offer)
+    assert alone is not None
+    assert (alone.job_id, alone.device, alone.gpu_part) == (first.id, "gpu:0", None)
+    for num_bytes in (4 * GIB, 3 * GIB):  # The largest counts.
+        assert alone.note_peak(num_bytes).attempts[-1].peak_bytes == num_bytes
+    alone.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    shared = take(job_store, "gpu:0", offer=offer)
+    assert shared is not None
+    assert (shared.job_id, shared.device, shared.gpu_part) == (second.id, "gpu:0", 5 / 16)
+    joins = replace(offer, free=frozenset(), parts=[5 / 16])
+    beside = take(job_store, "gpu:0", offer=joins)
+    assert beside is not None
+    assert (beside.job_id, beside.gpu_part) == (third.id, 2 / 16)
+    started = {one.id: one.part for one in job_store.turn_facts().started}
+    assert started == {second.id: 5 / 16, third.id: 2 / 16}
+    assert [one.num_gpus for one in job_store.numbers().running] == pytest.approx([5 / 16, 2 / 16])
 
 
 def test_users_take_turns_and_what_they_used_is_remembered(

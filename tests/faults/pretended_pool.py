@@ -26,6 +26,7 @@ from worker.supervision.supervisor import Supervisor  # noqa: E402
 if __name__ == "__main__":
     if sys.argv[1:] == ["member"]:
         probe = (sys.executable, str(PROBE), "waits_for_its_job")
+        worker.main.device_memory = lambda device, limit: 16 * 2**30  # type: ignore[assignment]
         worker.tasks.Supervisor = partial(Supervisor, command=probe)  # type: ignore[misc,assignment]
         worker.main.main()
     else:

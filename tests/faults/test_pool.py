@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import psutil
@@ -32,13 +33,22 @@ class Machine:
     """
 
     def __init__(
-        self, store: PostgresJobStore, client: redis.Redis, settings: WorkerSettings, folder: Path
+        self,
+        store: PostgresJobStore,
+        client: redis.Redis,
+        settings: WorkerSettings,
+        folder: Path,
+        **variables: str,
     ) -> None:
         self.store, self.queue, self._folder = store, RQQueue(client), folder
         self._reconciler = Reconciler(store, self.queue, settings.lease)
         folder.mkdir()
-        variables = environment(settings, PROBE_WAITS_FOR=str(folder))
-        self.fleet = subprocess.Popen([sys.executable, "-m", "tests.faults.pretended_pool"], env=variables)
+        outer = environment(settings, PROBE_WAITS_FOR=str(folder), **variables)
+        self.fleet = subprocess.Popen([sys.executable, "-m", "tests.faults.pretended_pool"], env=outer)
+
+    def close(self) -> None:
+        self.fleet.send_signal(signal.SIGTERM)
+        self.fleet.wait(60)
 
     def wait(self, condition: Callable[[], bool], timeout_s: float = 60) -> None:
         def looked() -> bool:
@@ -49,6 +59,10 @@ class Machine:
 
     def submit(self, gpus: int) -> Job:
         return submitted(self.store, self.queue, resources={"gpus": gpus})
+
+    def submit_sharing(self, gpu_memory_gib: float) -> Job:
+        resources = {"share_gpu": True, "gpu_memory_gib": gpu_memory_gib}
+        return submitted(self.store, self.queue, resources=resources)
 
     def let_go(self, *jobs: Job) -> None:
         for job in jobs:
@@ -101,13 +115,21 @@ class Machine:
 def machine(
     settings: WorkerSettings, job_store: PostgresJobStore, redis_client: redis.Redis, tmp_path: Path
 ) -> Iterator[Machine]:
-    machine = Machine(job_store, redis_client, settings, tmp_path / "go")
-    try:
+    machine = Machine(job_store, redis_client, settings, tmp_path / "go", GAITWAY_SEATS="1")
+    with closing(machine):
         machine.wait(lambda: machine.states() == ["ready"] * 4)
         yield machine
-    finally:
-        machine.fleet.send_signal(signal.SIGTERM)
-        machine.fleet.wait(60)
+
+
+@pytest.fixture
+def shared(
+    settings: WorkerSettings, job_store: PostgresJobStore, redis_client: redis.Redis, tmp_path: Path
+) -> Iterator[Machine]:
+    """Two GPUs of 16 GiB, each with two seats."""
+    machine = Machine(job_store, redis_client, settings, tmp_path / "go", GAITWAY_POOL="gpu:0-1")
+    with closing(machine):
+        machine.wait(lambda: machine.states() == ["ready"] * 4)
+        yield machine
 
 
 def test_small_jobs_do_not_starve_one_of_all_gpus(machine: Machine) -> None:
@@ -177,3 +199,40 @@ def test_a_job_whose_worker_or_training_is_killed_leaves_no_gpu_behind(machine: 
     four = machine.submit(4)
     machine.let_go(two, *ones, four)
     machine.wait_for(JobStatus.SUCCEEDED, two, *ones, four)
+
+
+def test_two_jobs_share_a_gpu_and_others_wait_for_their_part_or_for_all_of_it(shared: Machine) -> None:
+    one, two = shared.submit_sharing(6), shared.submit_sharing(8)
+    shared.wait_for(JobStatus.RUNNING, one, two)
+    # The second joins the first, so that a GPU stays free for the one that needs a whole one.
+    alone = shared.submit(1)
+    shared.wait_for(JobStatus.RUNNING, alone)
+    (gpu,) = shared.gpus(one)
+    assert (shared.gpus(two), shared.gpus(alone)) == ({gpu}, {1 - gpu})
+    assert [shared.store.get(job.id).attempts[-1].gpu_part for job in (one, two, alone)] == [
+        6 / 16,
+        0.5,
+        None,
+    ]
+    third, both = shared.submit_sharing(4), shared.submit(2)
+    shared.wait(lambda: shared.states().count("lent") == 1)  # The other seat of the one that has a GPU alone.
+    assert shared.statuses(third, both) == [JobStatus.QUEUED] * 2
+    # The training of one is killed. The third joins the other, which hears nothing of it.
+    (training,) = [
+        process
+        for process in psutil.Process(shared.fleet.pid).children(recursive=True)
+        if any(f"{one.id}.1" in word for word in process.cmdline())
+    ]
+    training.kill()
+    shared.wait_for(JobStatus.RUNNING, third)
+    assert (shared.gpus(third), shared.num_attempts(two)) == ({gpu}, 1)
+    shared.let_go(third)
+    shared.wait_for(JobStatus.RUNNING, one)
+    assert (shared.gpus(one), shared.num_attempts(one)) == ({gpu}, 2)
+    # Whole GPUs are free only when nobody has a part of them.
+    shared.let_go(one, alone)
+    shared.wait_for(JobStatus.SUCCEEDED, one, alone, third)
+    assert shared.statuses(two, both) == [JobStatus.RUNNING, JobStatus.QUEUED]
+    shared.let_go(two)
+    shared.wait_for(JobStatus.RUNNING, both)
+    assert shared.gpus(both) == {0, 1}

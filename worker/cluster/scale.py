@@ -146,6 +146,8 @@ def _workers(seen: Seen, alive: Mapping[str, Allocation]) -> tuple[Counter[SlotK
             heard.add(str(own))
         if worker.job or worker.jobs or worker.state in ("device_failed", "lent", "kept"):
             continue
+        if worker.seat > 0:
+            continue  # Its GPU is counted by the worker of the first seat.
         if worker.pool is not None:
             shared[worker.host, worker.pool] += 1
         else:

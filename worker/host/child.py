@@ -42,6 +42,8 @@ _OTHERS_ACCOUNTS = re.compile(
 _SECRET = re.compile(
     r"SECRET|PASS(WOR|PHR|WD|$)|TOKEN|CREDENTIAL|COOKIE|AUTH(?!OR)|API_?KEY|(^|_)(KEY|PAT|DSN)(_|$)"
 )
+# By these the outer environment could give a process more of a GPU than its part.
+_OF_XLA = ("XLA_PYTHON_CLIENT_ALLOCATOR", "XLA_PYTHON_CLIENT_MEM_FRACTION")
 _WITH_PASSWORD = re.compile(r"\w://[^/\s]*:[^/\s]*@")
 
 
@@ -122,10 +124,11 @@ class TrainingProcess:
 
     command: the program; it is given the spool and the descriptor to write messages to. spool, data_dir:
     absolute, for it starts in the spool. slot_fds: of the device's locks, which it holds to its end. models:
-    whether it confines itself when it loads a user's model (worker/confinement/own_files.py).
+    whether it confines itself when it loads a user's model (worker/confinement/own_files.py). gpu_part: as in
+    `memory_variables`.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 # What a training is given.
         self,
         command: Sequence[str],
         spool: Path,
@@ -133,12 +136,16 @@ class TrainingProcess:
         device: str,
         slot_fds: Sequence[int],
         models: "Confinement" = "confined",
+        gpu_part: float | None = None,
     ) -> None:
         read_end, write_end = os.pipe()
         self._messages: IO[bytes] = os.fdopen(read_end, "rb")
         self._child = launch(
             [*command, str(spool), str(write_end)],
-            {**environment(device, data_dir, os.environ), variable("models"): models},
+            {
+                **memory_variables(environment(device, data_dir, os.environ), gpu_part),
+                variable("models"): models,
+            },
             stdout=subprocess.PIPE,
             # MuJoCo writes its log to the working directory, and ours may be read-only.
             cwd=spool,
@@ -213,6 +220,17 @@ def device_variables(device: str) -> dict[str, str]:
         return {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
     # In the order of the device files, as in the locks' names; CUDA's default is the fastest first.
     return {"CUDA_VISIBLE_DEVICES": device.partition(":")[2], "CUDA_DEVICE_ORDER": "PCI_BUS_ID"}
+
+
+def memory_variables(variables: Mapping[str, str], gpu_part: float | None) -> dict[str, str]:
+    """These variables, for a process that may take a part of its GPU's memory, or all of it (None).
+
+    XLA would otherwise take most of the memory at once; it fails beyond the part, and takes nobody else's.
+    """
+    if gpu_part is None:
+        return dict(variables)
+    kept = {name: value for name, value in variables.items() if name not in _OF_XLA}
+    return kept | {"XLA_PYTHON_CLIENT_PREALLOCATE": "false", "XLA_CLIENT_MEM_FRACTION": f"{gpu_part:.6f}"}
 
 
 def _may_be_secret(name: str, value: str) -> bool:

@@ -109,6 +109,31 @@ def set_aside(data_dir: Path, slot_names: Iterable[str], problem: str) -> None:
         mark.write_text(problem)
 
 
+def _passed_mark(data_dir: Path, slot_name: str) -> Path:
+    """The file that is there while a device has passed its last test."""
+    return data_dir / "devices" / f"{slot_name}.passed"
+
+
+class SeatHealth:
+    """What a worker of a further seat on a GPU knows of it: that of the first seat tests it."""
+
+    def __init__(self, data_dir: Path, slot_name: str) -> None:
+        self._mark, self._passed = mark_of(data_dir, slot_name), _passed_mark(data_dir, slot_name)
+        self.state: WorkerState = "testing"
+        self.problem: str | None = None
+
+    def is_fit(self) -> bool:
+        """Whether the worker may take a job."""
+        try:
+            self.state, self.problem = "device_failed", self._mark.read_text()
+        except OSError:
+            self.state, self.problem = "ready" if self._passed.exists() else "testing", None
+        return self.state == "ready"
+
+    def close(self) -> None:
+        """Nothing runs."""
+
+
 class DeviceHealth:
     """A worker's knowledge of its device. command: the test; None if the device works once nobody holds it.
 
@@ -129,6 +154,7 @@ class DeviceHealth:
         self._locks = [data_dir / "locks" / f"{name}.lock" for name in slot_names]
         self._slot_names = tuple(slot_names)
         self._marks = [mark_of(data_dir, name) for name in slot_names]
+        self._passed = [_passed_mark(data_dir, name) for name in slot_names]
         self._pauses_s = pauses_s
         self._num_failures = 0
         self._test_at = 0.0
@@ -177,6 +203,9 @@ class DeviceHealth:
         self._held.close()
         for mark in self._marks:
             mark.unlink(missing_ok=True)
+        for passed in self._passed:
+            passed.parent.mkdir(parents=True, exist_ok=True)
+            passed.touch()
         self.state, self.problem, self._num_failures = "ready", None, 0
         log.info("device_works", device=self._device)
 
@@ -184,6 +213,8 @@ class DeviceHealth:
         pause_s = self._pauses_s[min(self._num_failures, len(self._pauses_s) - 1)]
         self._num_failures += 1
         self.state, self.problem = "device_failed", problem
+        for passed in self._passed:
+            passed.unlink(missing_ok=True)
         with suppress(OSError):  # Other workers of its pool see by it that it does not work.
             set_aside(self._data_dir, self._slot_names, problem)
         self._test_at = time.monotonic() + pause_s

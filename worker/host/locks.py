@@ -1,7 +1,7 @@
 """Locks that the kernel releases when their holder ends, however it ends; the locks of devices among them.
 
 One device, one job: the process that uses a device holds its lock, even when its supervisor is gone. A job on
-several GPUs holds the locks of all of them.
+several GPUs holds the locks of all of them; jobs that share a GPU share its lock, too.
 """
 
 import fcntl
@@ -19,18 +19,24 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _PID_NAMESPACE = Path("/proc/self/ns/pid")
 
 
-def take_lock(path: Path) -> int | None:
+def take_lock(path: Path, *, shared: bool = False) -> int | None:
     """The descriptor of this file, locked; None if another process holds it or has just removed it.
 
-    A process that inherits the descriptor holds the lock, too.
+    A process that inherits the descriptor holds the lock, too. shared: others may hold it as well, if they
+    share it.
     """
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     with suppress(BlockingIOError, FileNotFoundError):
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         if os.path.samestat(os.fstat(descriptor), path.stat()):
             return descriptor
     os.close(descriptor)
     return None
+
+
+def share_lock(descriptor: int) -> None:
+    """Let others share a lock that nobody else holds. Who took it meanwhile, to look at it, is waited for."""
+    fcntl.flock(descriptor, fcntl.LOCK_SH)
 
 
 def remove_lock(path: Path, descriptor: int) -> None:

@@ -41,6 +41,7 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
         attempt=claim.number,
         spec=job.spec,
         device=device,
+        gpu_part=claim.gpu_part,
         correlation_id=job.correlation_id,
         commit=commit_here(),
     )

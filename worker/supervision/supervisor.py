@@ -151,7 +151,9 @@ class Supervisor:
             models = self.settings.models
             others = OtherHosts(self.gang, outbox.put, self.settings.lease.total_seconds())
             others.begin(spool)
-            process = TrainingProcess(self.command, spool, folder, self.device, slot_fds, models)
+            process = TrainingProcess(
+                self.command, spool, folder, self.device, slot_fds, models, self.claim.gpu_part
+            )
             try:
                 readers = OutputReaders(process, outbox, caches, tracking, StallWatch(self.settings.stall))
                 memory_bytes = allowed_bytes(self.settings.memory_limit)

@@ -35,10 +35,11 @@ _DEVICE_FAILED = re.compile(
 _NOT_TOGETHER = re.compile("nccl", re.IGNORECASE)
 
 
-def failure(error: Exception, device: str, *, in_gang: bool = False) -> Failed:
+def failure(error: Exception, device: str, *, in_gang: bool = False, gpu_part: float | None = None) -> Failed:
     """Blames memory, device or disk if it was one of these. device: `cpu`, or the worker's GPUs.
 
     in_gang: whether other hosts have the job, too; GPUs then fail together when another host is lost.
+    gpu_part: of the GPU's memory, if the job shares the GPU.
     """
     if is_full(error):
         return Failed(reason=Reason.STORAGE_UNAVAILABLE, message=what_to_do())
@@ -52,6 +53,11 @@ def failure(error: Exception, device: str, *, in_gang: bool = False) -> Failed:
         )
     if has_no_memory:
         message = f"The memory of {device} ran out. {LESS_MEMORY} {line}"
+        if gpu_part is not None:
+            message = (
+                f"The job shares {device}, and its {gpu_part:.0%} of the memory ran out. Ask for more by "
+                f"`gpu_memory_gib`, or leave out `share_gpu`. {LESS_MEMORY} {line}"
+            )
         return Failed(reason=Reason.OUT_OF_MEMORY, message=message)
     is_failed = _DEVICE_FAILED.search(text) or (not in_gang and _NOT_TOGETHER.search(text))
     if device != "cpu" and is_failed:
@@ -61,10 +67,10 @@ def failure(error: Exception, device: str, *, in_gang: bool = False) -> Failed:
 
 def run(spool: Path, events_fd: int, stopping: StopRequest) -> int:
     """Run the task in the spool; returns the exit status. The last message is Finished or Failed."""
-    events, device, in_gang = EventWriter(spool, events_fd), "cpu", False
+    events, device, in_gang, gpu_part = EventWriter(spool, events_fd), "cpu", False, None
     try:
         task = Task.model_validate_json((spool / "task.json").read_bytes())
-        device, in_gang = task.device, task.gang is not None
+        device, in_gang, gpu_part = task.device, task.gang is not None, task.gpu_part
         configure_logging(
             "training", job_id=task.job_id, attempt=task.attempt, correlation_id=task.correlation_id
         )
@@ -76,7 +82,7 @@ def run(spool: Path, events_fd: int, stopping: StopRequest) -> int:
         events.send(Failed(reason=Reason.TRAINING_CRASHED, message=error.detail))
     except Exception as error:  # Every way to end must reach the job's record.
         traceback.print_exc()
-        events.send(failure(error, device, in_gang=in_gang))
+        events.send(failure(error, device, in_gang=in_gang, gpu_part=gpu_part))
     else:
         events.send(Finished(stopped=stopped))
         return 0

@@ -73,7 +73,7 @@ def train(
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     if differs := built.other_versions(task.made_with):
         events.send(Noted(text=differs))
-    check_memory(built.job.memory_on(built.device, built.num_devices), built.device)
+    check_memory(built.job.memory_on(built.device, built.num_devices), built.device, task.gpu_part)
     run, policies = begin_or_resume(task, spec, settings, built, events)
     exports = ExportWriter(settings.algorithm(), built)
     files = PolicyFiles(policies, exports, task.best)
@@ -308,12 +308,16 @@ class Report:
         self.events.send(Advanced(step=step, total=total, steps_per_second=rate, eta_s=eta_s))
 
 
-def check_memory(least: MemoryNeed, device: Device) -> None:
-    """Raises JobFailed if the device, or for a CPU its machine, has less memory than the run needs."""
+def check_memory(least: MemoryNeed, device: Device, gpu_part: float | None = None) -> None:
+    """Raises JobFailed if the device, or for a CPU its machine, has less memory than the run needs.
+
+    gpu_part: of the GPU's memory, if the job shares the GPU.
+    """
     limit = allowed_bytes(None) if device == "cpu" else _device_memory("bytes_limit")
     if limit is not None and least.bytes > limit:
+        where = f"this worker's {device.upper()}" if gpu_part is None else "the job's part of a GPU"
         # Not `out_of_host_memory`, which another process may have caused and which is retried.
-        raise JobFailed(Reason.OUT_OF_MEMORY, least.does_not_fit(limit, f"this worker's {device.upper()}"))
+        raise JobFailed(Reason.OUT_OF_MEMORY, least.does_not_fit(limit, where))
 
 
 def _device_memory(name: str) -> int | None:

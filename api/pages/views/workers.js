@@ -24,7 +24,7 @@ export default function Workers({ query }) {
       <p>No worker is running, so jobs wait.</p>
       <p>Start one with <code>python -m worker.main</code>, or the whole service with <code>./run up</code>.</p>
     <//>`}
-    <div class="grid">${data.workers.map((worker) => html`<${Worker} key=${worker.name} worker=${worker} usage=${data.usage} />`)}</div>
+    <div class="grid">${data.workers.map((worker) => html`<${Worker} key=${worker.name} worker=${worker} all=${data.all} usage=${data.usage} />`)}</div>
     <${Pages} path=${["workers"]} query=${query} next=${data.next} name="Pages of workers" first="First workers" more="More workers" />
     <${Queue} queued=${data.queued} workers=${data.all} slots=${data.slots} usage=${data.usage} />
   </div>`;
@@ -54,11 +54,12 @@ async function lastDay(signal) {
   return usage;
 }
 
-const Worker = ({ worker, usage }) => html`<section class="card">
+const Worker = ({ worker, all, usage }) => html`<section class="card">
   <h2>${worker.name}</h2>
   <dl class="facts-list">
     <dt>State</dt><dd>${state(worker)}${worker.problem ? `: ${worker.problem}` : ""}</dd>
-    <dt>Device</dt><dd>${worker.device}${worker.hosts > 1 ? ` on each of ${worker.hosts} hosts` : ""}${worker.pool ? ` of ${worker.pool}, which jobs share out` : ""}${worker.memory_bytes ? `, ${bytes(worker.memory_bytes)}` : ""}</dd>
+    <dt>Device</dt><dd>${worker.device}${worker.hosts > 1 ? ` on each of ${worker.hosts} hosts` : ""}${worker.pool ? ` of ${worker.pool}, which jobs share out` : ""}${worker.seat ? "; only for jobs that share it" : ""}${worker.memory_bytes ? `, ${bytes(worker.memory_bytes)}` : ""}</dd>
+    <${Beside} worker=${worker} all=${all} />
     <dt>Host</dt><dd>${worker.host}, process ${worker.pid}</dd>
     ${worker.allocation && html`<dt>Cluster</dt><dd>${allocated(worker.allocation)}</dd>`}
     <dt>Packages</dt><dd>${worker.packages?.join(", ") || "none beyond the needed"}</dd>
@@ -66,6 +67,13 @@ const Worker = ({ worker, usage }) => html`<section class="card">
     <${Busy} worker=${worker} usage=${usage} />
   </dl>
 </section>`;
+
+/** The jobs with which its own one shares the GPU. */
+function Beside({ worker, all }) {
+  const others = all.filter((other) => other.host === worker.host && other.device === worker.device && other.seat !== worker.seat);
+  const jobs = worker.pool && worker.jobs.length ? others.flatMap((other) => other.jobs) : [];
+  return jobs.length > 0 && html`<dt>Shares</dt><dd>its GPU with ${linksTo(jobs)}</dd>`;
+}
 
 /** Of its device, also under workers before it, and under jobs of other workers to which it was lent. */
 function Busy({ worker, usage }) {
@@ -82,9 +90,10 @@ const isAmong = (gpu, gpus) => gpus.startsWith("gpu:") && gpus.slice(4).split(",
 function state({ state, job, jobs }) {
   const running = jobs.length ? jobs : [job].filter(Boolean);
   if (!running.length) return STATES[state];
-  const links = running.map((id, number) => html`${number > 0 && ", "}<a key=${id} href="#/jobs/${id}">${id}</a>`);
-  return html`runs ${running.length > 1 && `${running.length} jobs: `}${links}`;
+  return html`runs ${running.length > 1 && `${running.length} jobs: `}${linksTo(running)}`;
 }
+
+const linksTo = (jobs) => jobs.map((id, number) => html`${number > 0 && ", "}<a key=${id} href="#/jobs/${id}">${id}</a>`);
 
 /** What the queue asks for, by kind of worker. */
 function Wanted({ slots }) {
@@ -142,5 +151,6 @@ function Queue({ queued, workers, slots, usage }) {
 function needs(resources = {}) {
   if (resources.hosts > 1) return `${resources.accelerator === "cpu" ? "the CPUs" : `${resources.gpus} GPUs`} of ${resources.hosts} hosts`;
   if (resources.gpus > 1) return `${resources.gpus} GPUs of one host`;
+  if (resources.share_gpu) return "a part of a GPU";
   return { cpu: "a CPU", gpu: "a GPU" }[resources.accelerator] || "any device";
 }

@@ -34,6 +34,7 @@ from core.errors import JobNotFound, JobUnreadable
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
 from core.jobs.patch import JobPatch
 from core.jobs.queue import queue_of
+from core.jobs.sharing import alike
 from core.jobs.spec import JOB_SPEC, Source, TrainSpec
 from core.jobs.status import JobStatus
 from core.jobs.uploads import clip_files_of
@@ -150,6 +151,8 @@ def new_job_values(job: Job) -> Values:
         "note": spec.note,
         "model": _text(spec.environment.options.get("model")),
         "clip_files": list(clip_files_of(spec.environment)),
+        "gpu_bytes": spec.resources.gpu_bytes,
+        "alike": _alike(job),
         "preemptible": isinstance(spec, TrainSpec) and spec.preemptible,
         "source": None if spec.source is None else spec.source.job,
         "source_step": None if spec.source is None else spec.source.step,
@@ -161,6 +164,14 @@ def new_job_values(job: Job) -> Values:
         "project": job.project,
         "correlation_id": job.correlation_id,
     }
+
+
+def _alike(job: Job) -> str | None:
+    """What a job that shares a GPU and does not say how much of it has in common with those like it."""
+    spec = job.spec
+    is_asked = spec.resources.share_gpu and spec.resources.gpu_bytes is None
+    waits = job.status == JobStatus.QUEUED
+    return alike(spec) if is_asked and waits and isinstance(spec, TrainSpec) else None
 
 
 def patch_values(spec: Values, patch: JobPatch) -> Values:

@@ -16,7 +16,7 @@ from sqlalchemy import Connection, Row, TextClause, text
 
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.quotas import quotas_of
-from core.adapters.postgres.rows import HELD, find_job, readable
+from core.adapters.postgres.rows import HELD, columns, find_job, readable
 from core.adapters.postgres.saving import SAVE_AT_ONCE, save_change
 from core.adapters.postgres.usage import SHARES
 from core.errors import IllegalTransition, JobNotFound, StaleJob
@@ -24,6 +24,7 @@ from core.jobs.job import Job
 from core.jobs.pools import GIVEN, NothingFits, Offer, choose_for
 from core.jobs.preemption import DRAINED_WITHIN_S
 from core.jobs.queue import PRIORITIES
+from core.jobs.sharing import share_for
 from core.jobs.slots import kind_of_queue
 from core.jobs.turns import Request, Share, Standings, Started, TurnFacts, Who, in_order, standings_on
 
@@ -40,7 +41,12 @@ DUE = """
     AND (not_before IS NULL OR not_before < clock_timestamp()
         OR not_before > clock_timestamp() + interval '60 s')
 """
-HEAD = "SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs"
+# A waiting job, as `request` reads it. peak: what jobs like one that shares a GPU took of its memory.
+HEAD = """
+    SELECT id, queue, project, coalesce(owner, '') AS owner, gpu_bytes,
+        (SELECT peaks.bytes FROM peaks WHERE peaks.alike = jobs.alike) AS peak
+    FROM jobs
+"""
 # The oldest job of each queue, project and user. If these were compared for equality alone, PostgreSQL might
 # take another index than `jobs_turns`, and read all that wait for each user.
 HEADS = f"""
@@ -81,7 +87,7 @@ def running_query(yields_to: str, *more: str) -> str:
     columns = ", ".join([f"{yields_to} AS yields_to", *more])
     return f"""
         SELECT jobs.id, jobs.queue, jobs.project, coalesce(jobs.owner, '') AS owner, jobs.token,
-            attempts.worker, {columns},
+            attempts.worker, attempts.gpu_part, {columns},
             CAST(extract(epoch FROM clock_timestamp() - attempts.started_at) AS float) AS age_s
         FROM unnest(CAST(:held AS text[])) AS held (status)
         CROSS JOIN LATERAL (SELECT * FROM jobs WHERE status = held.status ORDER BY id) AS jobs
@@ -97,10 +103,7 @@ _RUNNING = running_query(f"""(
     )
 )""")  # noqa: S608 # A constant.
 # The oldest; what is beyond has no forecast.
-_WAITING = """
-    SELECT id, queue, project, coalesce(owner, '') AS owner FROM jobs WHERE status = 'queued'
-    ORDER BY id LIMIT 20000
-"""
+_WAITING = f"{HEAD} WHERE status = 'queued' ORDER BY id LIMIT 20000"
 
 
 def facts_query(**parts: str) -> TextClause:
@@ -146,9 +149,10 @@ class TurnQueries(Session):
             job = find_job(connection, job_id)
             return job if isinstance(job, Job) and fits(job) else None
 
-        def claim(connection: Connection, job: Job, gpus: int) -> Job:
-            given = {} if offer is None else {GIVEN: offer.device(gpus)}
-            claimed = job.claimed(worker, now, secret, {**(details or {}), **given})
+        def claim(connection: Connection, job: Job, request: Request) -> Job:
+            gpus, part = ("", None) if offer is None else offer.given_to(request)
+            given = {GIVEN: gpus} if gpus else {}
+            claimed = job.claimed(worker, now, secret, {**(details or {}), **given}, part)
             save_change(connection, claimed, job.status, SAVE_AT_ONCE, lease=lease)
             return claimed
 
@@ -174,13 +178,13 @@ def _take(  # What is known, and how a job is reached.
     asked: Mapping[str, Any],
     facts: TurnFacts,
     find: Callable[[Connection, str], Job | None],
-    claim: Callable[[Connection, Job, int], Job],
+    claim: Callable[[Connection, Job, Request], Job],
     offer: Offer | None,
 ) -> Job | None:
     """The first job in turn that can be claimed. Raises NothingFits.
 
     asked: what the facts are of. find: returns None for a job that is for another worker. claim: takes the
-    job, with as many GPUs.
+    job that asks for this.
     """
     device = "gpu" if any(kind_of_queue(queue).accelerator == "gpu" for queue in asked["queues"]) else "cpu"
     standings, _ = standings_on(device, facts.shares, facts.started, facts.quotas)
@@ -195,7 +199,7 @@ def _take(  # What is known, and how a job is reached.
             if (job := find(connection, first.id)) is not None:
                 if kept is not None:
                     raise kept
-                return claim(connection, job, first.gpus)
+                return claim(connection, job, first)
             unfit[_group(first)] += 1
         except (IllegalTransition, JobNotFound):  # It was cancelled, claimed or deleted meanwhile.
             pass
@@ -221,7 +225,7 @@ def _first(
 
 
 def _heads(connection: Connection, asked: Mapping[str, Any]) -> Sequence[Request]:
-    return [_request(row) for row in connection.execute(_NEXT_HEADS, asked).mappings()]
+    return [request(columns(row)) for row in connection.execute(_NEXT_HEADS, asked)]
 
 
 def _group(waiting: Request) -> _Group:
@@ -231,7 +235,7 @@ def _group(waiting: Request) -> _Group:
 def facts_of(found: Row[Any], started: Sequence[Started] | None = None) -> TurnFacts:
     """started: those that were read before; otherwise they are among what was found."""
     return TurnFacts(
-        waiting=[_request(row) for row in found.waiting],
+        waiting=[request(row) for row in found.waiting],
         started=[started_of(row) for row in found.started] if started is None else started,
         shares=[
             Share(row["device"], (row["project"], row["owner"]), row["amount"], row["usual_s"])
@@ -241,15 +245,16 @@ def facts_of(found: Row[Any], started: Sequence[Started] | None = None) -> TurnF
     )
 
 
-def _request(row: Any) -> Request:
-    return request(row["id"], row["queue"], row["project"], row["owner"])
-
-
-def request(job_id: str, queue: str | None, project: str, owner: str) -> Request:
+def request(row: Mapping[str, Any]) -> Request:
     """The request of a waiting job. A row without a queue is of an older version, and no urgent one."""
-    kind = kind_of_queue(queue)
-    name = (queue or "").rpartition("-")[0]
-    return Request(job_id, rank_of_queue(queue), (project, owner), max(1, kind.gpus) * kind.hosts, kind=name)
+    queue = row["queue"]
+    kind, name = kind_of_queue(queue), (queue or "").rpartition("-")[0]
+    memory = row["gpu_bytes"]
+    if memory is None and row["peak"] is not None:
+        memory = share_for(row["peak"])
+    gpus = max(1, kind.gpus) * kind.hosts
+    who = (row["project"], row["owner"])
+    return Request(row["id"], rank_of_queue(queue), who, gpus, kind=name, memory=memory)
 
 
 @cache
@@ -265,4 +270,14 @@ def started_of(row: Mapping[str, Any]) -> Started:
     gpus = max(1, kind.gpus) * kind.hosts
     who, rank = (row["project"], row["owner"]), rank_of_queue(row["queue"])
     yields_to = row["yields_to"] or ""
-    return Started(row["id"], who, device, gpus, row["age_s"], row["worker"], rank, yields_to=yields_to)
+    return Started(
+        row["id"],
+        who,
+        device,
+        gpus,
+        row["age_s"],
+        row["worker"],
+        rank,
+        yields_to=yields_to,
+        part=row["gpu_part"],
+    )

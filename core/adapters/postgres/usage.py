@@ -104,6 +104,7 @@ _RUNNING = (
         jobs.c.queue,
         attempts.c.worker,
         attempts.c.started_at,
+        func.coalesce(attempts.c.gpu_part, 1.0).label("part"),
         func.coalesce(cast(attempts.c.details, JSONB)[GIVEN].astext, "").label("given"),
     )
     .join(jobs, and_(jobs.c.id == attempts.c.job_id, jobs.c.num_attempts == attempts.c.number))
@@ -268,6 +269,7 @@ def running_attempts(connection: Connection) -> list[RunningAttempt]:
             row.started_at,
             kind_of_queue(row.queue).hosts,
             row.given,
+            row.part,
         )
         for row in connection.execute(_RUNNING)
     ]

@@ -335,6 +335,29 @@ def test_a_worker_that_trains_two_jobs_together_links_both(
     expect(page.get_by_role("heading", name="seed")).to_be_visible()
 
 
+def test_a_gpu_that_jobs_share_says_so_on_the_cards_of_its_workers_and_on_the_pages_of_the_jobs(
+    stack: Stack, tab: Tab
+) -> None:
+    jobs = [job(), job("019aa3c2f0b2-5be0c1d2e3")]
+    for seat, queued in enumerate(jobs):
+        name, seen = f"node1:gpu:0:00000{seat}", {"started_at": NOON, "seen_at": utc_now()}
+        said = {"device": "gpu:0", "pool": "gpu:0", "seats": 2, "seat": seat, "host": "node1", "pid": 1}
+        worker = WorkerInfo.model_validate({"name": name, **said, **seen})
+        stack.store.announce(worker, timedelta(minutes=1))
+        stack.store.add(queued)
+        claimed = queued.claimed(name, NOON, details={"gpus": "gpu:0"}, gpu_part=0.25)
+        stack.store.save(claimed, lease=timedelta(minutes=1))
+    stack.store.save(stack.store.get(jobs[0].id).noted(peak_bytes=3 * 10**9))
+    page = tab.open("#/workers")
+    first, second = (page.locator("section.card").filter(has_text=f"node1:gpu:0:00000{n}") for n in (0, 1))
+    expect(first).to_contain_text(f"Sharesits GPU with {jobs[1].id}")
+    expect(second).to_contain_text("only for jobs that share it")
+    page = tab.open(f"#/jobs/{jobs[0].id}")
+    attempts = page.get_by_role("region", name="Attempts")
+    expect(attempts).to_contain_text("shares the GPU: 25 % of its memory")
+    expect(attempts).to_contain_text("of memory at most")
+
+
 def test_a_gpu_that_is_lent_says_to_whom_and_is_busy(stack: Stack, tab: Tab) -> None:
     ago, pool = utc_now() - timedelta(hours=2), {"pool": "gpu:0,1", "host": "node1", "pid": 1}
     stack.store.add(queued := job())

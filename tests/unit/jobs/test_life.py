@@ -441,6 +441,29 @@ def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -
             ["/resources/hosts"],
         ),
         (
+            {"resources": {"share_gpu": True, "accelerator": "cpu"}},
+            "The job shares a GPU, but its accelerator is `cpu`",
+            ["/resources/accelerator", "/resources/share_gpu"],
+        ),
+        (
+            {"resources": {"share_gpu": True, "gpus": 2}},
+            "Only a job on one GPU can share it, and this one asks for several gpus",
+            ["/resources/share_gpu", "/resources/gpus"],
+        ),
+        (
+            {"resources": {"gpu_memory_gib": 2}},
+            "`gpu_memory_gib` is for a job that shares a GPU: set `share_gpu`",
+            ["/resources/gpu_memory_gib"],
+        ),
+        (
+            {
+                "resources": {"share_gpu": True, "gpu_memory_gib": 1},
+                "algorithm": {"policy_hidden_layer_sizes": [8192] * 8},
+            },
+            "but the part of a GPU that it asks for has 1 GiB",
+            ["/resources/gpu_memory_gib"],
+        ),
+        (
             {"resources": {"gpus": 2, "hosts": 2}, "algorithm": {"kind": "sac"}},
             "sac runs on one host, but the job asks for 2",
             ["/resources/hosts"],

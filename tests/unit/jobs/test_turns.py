@@ -1,10 +1,11 @@
 """Whose turn it is, by numbers that one can check by hand."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from core.jobs.forecast import Lane, forecasts
+from core.jobs.forecast import Lane, LaneKind, forecasts
 from core.jobs.pools import pools_of
 from core.jobs.queue import queue_names
 from core.jobs.turns import (
@@ -14,6 +15,7 @@ from core.jobs.turns import (
     Quota,
     Quotas,
     Request,
+    SharedGpu,
     Standings,
     Started,
     choose,
@@ -176,6 +178,23 @@ def test_those_make_room_who_lose_least_by_it() -> None:
     assert to_drain(asks("x", gpus=8), [Pool("three", 8, 8)], low) == []
 
 
+def test_jobs_that_share_a_gpu_make_room_together_or_one_for_another() -> None:
+    """Both have 4 of 16 bytes: a job of a whole GPU needs the ends of both, one of 10 bytes that of one."""
+    pool = Pool("p", 1, 0, seats=2, gpu_bytes=16, shared={"gpu:0": SharedGpu(0, 8)})
+    lost = {"a": 9.0, "b": 5.0}
+    both = [
+        Held(name, 2, ANN, 1, 0.0, end, "p", lost_s=lost[name], shares="gpu:0", memory=4)
+        for name, end in (("a", 30.0), ("b", 50.0))
+    ]
+    whole, part = asks("x"), replace(asks("y"), memory=10)
+    assert {held.id for held in to_drain(whole, [pool], both)} == {"a", "b"}
+    assert [held.id for held in to_drain(part, [pool], both)] == ["b"]
+    found = [reserve(request, [pool], both, 0.0) for request in (whole, part)]
+    assert [(one.from_s, one.spare) for one in found if one] == [(50.0, 0), (30.0, 0)]
+    # One that may not yield keeps the GPU.
+    assert to_drain(whole, [pool], [both[0], replace(both[1], rank=0)]) == []
+
+
 def test_each_worker_is_a_pool_of_the_gpus_of_its_hosts() -> None:
     def worker(name: str, device: str, hosts: int = 1, **more: Any) -> WorkerInfo:
         queues = queue_names(device, hosts)
@@ -209,7 +228,7 @@ def test_each_worker_is_a_pool_of_the_gpus_of_its_hosts() -> None:
 
 def test_a_forecast_by_measured_durations() -> None:
     """Two slots are free in 10 and 30 s; jobs take 100 s, so that they start after 10, 30, 110, 130 s."""
-    lanes = [Lane(frozenset({"gpu"}), 10.0), Lane(frozenset({"gpu"}), 30.0)]
+    lanes = [Lane(LaneKind(frozenset({"gpu"})), free_s) for free_s in (10.0, 30.0)]
     waiting = [
         Request(name, 1, who, kind=kind)
         for name, who, kind in (

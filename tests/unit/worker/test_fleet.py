@@ -190,6 +190,7 @@ def test_a_fleet_that_has_a_gpu_twice_is_refused() -> None:
 def test_all_gpus_of_a_machine_are_one_pool(monkeypatch: pytest.MonkeyPatch) -> None:
     served = list[Member]()
     monkeypatch.delenv("GAITWAY_POOL", raising=False)
+    monkeypatch.setenv("GAITWAY_SEATS", "1")
     monkeypatch.setattr("worker.fleet.visible_gpus", lambda: ["nvidia0", "nvidia1", "nvidia2"])
     monkeypatch.setattr("worker.fleet.serve", served.extend)
     main([])
@@ -206,6 +207,25 @@ def test_all_gpus_of_a_machine_are_one_pool(monkeypatch: pytest.MonkeyPatch) -> 
         *((f"gpu:{number}", "gpu:1,2") for number in (1, 2)),
         ("gpu:0", None),
     ]
+
+
+def test_a_gpu_of_a_pool_has_a_worker_for_each_job_that_may_share_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    served = list[Member]()
+    monkeypatch.delenv("GAITWAY_SEATS", raising=False)
+    monkeypatch.setattr("worker.fleet.serve", served.extend)
+    monkeypatch.setenv("GAITWAY_POOL", "gpu:0")
+    main([])
+    main(["gpu:0"])  # Fixed devices are one job's.
+    assert [(member.device, member.pool, member.seat) for member in served] == [
+        ("gpu:0", "gpu:0", 0),
+        ("gpu:0", "gpu:0", 1),
+        ("gpu:0", None, None),
+    ]
+    monkeypatch.setenv("GAITWAY_SEATS", "none")
+    with pytest.raises(SystemExit):
+        main([])
 
 
 def test_the_fleet_loads_no_numerical_stack() -> None:

@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 import worker
-from worker.host.child import TrainingProcess, collect, environment, kill, launch
+from worker.host.child import TrainingProcess, collect, environment, kill, launch, memory_variables
 
 ROOT = Path(worker.__file__).parents[1]
 
@@ -185,3 +185,13 @@ def test_killing_a_child_ends_what_it_started_and_a_child_in_our_group_ends_alon
 def launched(code: str, **options: Any) -> "subprocess.Popen[bytes]":
     command, pipe = [sys.executable, "-c", code], subprocess.PIPE
     return launch(command, os.environ, stdout=pipe, stderr=pipe, **options)
+
+
+def test_a_process_takes_no_more_than_its_part_of_a_gpu() -> None:
+    outer = {"A": "1", "XLA_PYTHON_CLIENT_ALLOCATOR": "platform", "XLA_PYTHON_CLIENT_MEM_FRACTION": ".9"}
+    assert memory_variables(outer, None) == outer
+    assert memory_variables(outer, 0.25) == {
+        "A": "1",
+        "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
+        "XLA_CLIENT_MEM_FRACTION": "0.250000",
+    }

@@ -12,6 +12,7 @@ from worker.host.device_health import (
     EACH_WORKS,
     DeviceHealth,
     DeviceTest,
+    SeatHealth,
     command_for,
     mark_of,
     result_of,
@@ -139,6 +140,22 @@ def test_an_attempt_has_the_device_set_aside_until_it_passes(health: DeviceHealt
     assert (health.state, health.problem) == ("device_failed", "It crashed.")
     until(health.is_fit)
     assert not mark_of(tmp_path, "gpu-nvidia0").exists()
+
+
+def test_a_further_seat_of_a_gpu_waits_for_the_test_of_the_first(
+    health: DeviceHealth, tmp_path: Path
+) -> None:
+    seat = SeatHealth(tmp_path, "gpu-nvidia0")
+    assert not seat.is_fit()
+    assert seat.state == "testing"
+    until(health.is_fit)
+    assert seat.is_fit()
+    set_aside(tmp_path, ["gpu-nvidia0"], "It crashed.")
+    assert not seat.is_fit()
+    assert (seat.state, seat.problem) == ("device_failed", "It crashed.")
+    assert not health.is_fit()
+    until(health.is_fit)
+    assert seat.is_fit()
 
 
 def test_nobody_else_uses_the_device_meanwhile(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from core.errors import Misconfigured
+from core.jobs.slots import GPU
 from tests.faults.bench import unused_servers
 from worker.host import device
 from worker.host.device_health import set_aside
@@ -102,6 +103,45 @@ def test_a_full_disk_takes_no_gpu_from_a_job(pool: Pool) -> None:
     """The job was claimed already: the worker ended with it."""
     with Turn(pool, {1: os.open("/dev/full", os.O_RDWR)}).keep("gpu:1", "019aa3") as descriptors:
         assert len(descriptors) == 1
+
+
+def test_jobs_share_a_gpu_each_on_a_seat_and_no_other_job_gets_it(pool: Pool) -> None:
+    """The GPU is free again when the last of them has ended, in whichever order."""
+    first, second = (Pool(1, LOCKS, pool.data_dir, seat, 2) for seat in (0, 1))
+    with first.turn(never) as turn:
+        assert turn.offer([]) is not None
+        one = turn.keep("gpu:1", "019aa3", 0.25)
+    with first.turn(never) as turn:  # Its training still runs, and its worker may not take another one.
+        assert turn.offer([]) is None
+    member, other = Membership(second), Membership(Pool(2, LOCKS, pool.data_dir, 0, 2))
+    assert member.look()
+    assert not member.asks(GPU, shared=False)
+    assert member.asks(GPU, shared=True)
+    assert other.look()
+    assert other.free == {0, 2, 3}
+    other.pool.note_kept("The job a comes first.")
+    assert not other.look()
+    with second.turn(never) as turn:
+        offer = turn.offer([])
+        assert offer is not None
+        assert (offer.own, offer.free, offer.parts) == (1, {0, 2, 3}, [0.25])
+        two = turn.keep("gpu:1", "019aa4", 0.5)
+    assert other.look()  # What it was kept for has its seat.
+    with one:
+        pass
+    assert first.parts() == [0.5]
+    assert second.parts() is None  # Its seat is taken.
+    assert pool.free() == {0, 2, 3}
+    with two:
+        pass
+    assert pool.free() == {0, 1, 2, 3}
+
+
+def test_a_gpu_that_one_job_has_is_not_shared(pool: Pool) -> None:
+    with pool.turn(never) as turn:
+        kept = turn.keep("gpu:1", "019aa3")
+    with kept:
+        assert Pool(1, LOCKS, pool.data_dir, 1, 2).parts() is None
 
 
 def test_a_pool_is_of_workers_with_one_gpu_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

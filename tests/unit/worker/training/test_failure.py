@@ -57,3 +57,9 @@ def test_a_lack_of_memory_names_the_device_and_what_to_lower() -> None:
     message = failure(RuntimeError(_XLA_MEMORY), "gpu:0,1").message
     assert message.startswith("The memory of gpu:0,1 ran out. Lower num_envs, batch_size or unroll_length")
     assert "232.83GiB" in message
+
+
+def test_a_job_that_shares_a_gpu_hears_of_its_part() -> None:
+    said = failure(RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "gpu:0", gpu_part=0.25)
+    assert said.reason == Reason.OUT_OF_MEMORY
+    assert said.message.startswith("The job shares gpu:0, and its 25% of the memory ran out. Ask for more by")
