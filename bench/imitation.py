@@ -45,7 +45,9 @@ Answer = dict[str, Any]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Those of a measurement of imitation."""
-    parser.add_argument("--clip", type=Path, required=True, metavar="FILE", help="of clips, in any format")
+    parser.add_argument(
+        "--clip", type=Path, required=True, metavar="FILE", help="of clips: ours, or an NPZ as mjlab's"
+    )
     parser.add_argument("--body", default="g1", choices=list(_CLOSE), help="of the catalog, by default g1")
     parser.add_argument("--unseen", type=Path, metavar="FILE", help="of clips that are followed besides")
     parser.add_argument("--steps", type=int, metavar="N", help="of a training; by default tuned")

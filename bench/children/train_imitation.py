@@ -1,7 +1,7 @@
 """One training of a body that follows clips, and how far its policy follows them from many starts.
 
-Request: body, a robot; options (without `reference`, which is added); reference (without its clips); clips, a
-file in any format that `POST /clips` takes; settings (of PPO; what they leave out is tuned); seed; device
+Request: body, a robot; options (without `reference`, which is added); reference (without its clips); clips,
+our own file of clips or an NPZ as mjlab's; settings (of PPO; what they leave out is tuned); seed; device
 (`cpu` or `gpu`); cache, a folder for compiled programs; starts; close, up to which errors of root (m) and
 joints (rad) an episode is close; unseen, a file of clips that are followed besides, or null; keep, a file for
 the policy, or null.

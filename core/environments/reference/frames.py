@@ -105,10 +105,8 @@ def _frames(clip: Clip, model: mujoco.MjModel, followed: Followed, pose: np.ndar
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
-        arm = data.xpos[bodies] - data.subtree_com[followed.tree_roots]
-        turning = data.cvel[bodies, :3]
-        moving = data.cvel[bodies, 3:] + np.cross(turning, arm)
-        rows.append((data.xpos[bodies], data.xquat[bodies], moving, turning.copy()))
+        derived = {"cvel": data.cvel, "xpos": data.xpos, "subtree_com": data.subtree_com}
+        rows.append((data.xpos[bodies], data.xquat[bodies], *followed.velocities(derived, np)))
     return Frame(qpos, qvel, *(np.stack(parts) for parts in zip(*rows, strict=True)))
 
 

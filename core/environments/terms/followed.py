@@ -1,6 +1,8 @@
 """The parts of a body that follows a reference, and how far they are from it in a step."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -58,15 +60,15 @@ class Followed:
         """Positions [bodies, 3] in m and orientations [bodies, 4]."""
         return physics.derived["xpos"][self.bodies], physics.derived["xquat"][self.bodies]
 
-    def velocities(self, physics: Any, step: "Step") -> tuple[Array, Array]:
+    def velocities(self, derived: Mapping[str, Any], xp: ModuleType) -> tuple[Array, Array]:
         """Those of the bodies' origins along the world's axes [bodies, 3] in m/s, and about them in rad/s.
 
         MuJoCo's `cvel` is that of the point of a body that is where its tree's centre of mass is.
         """
-        moving = physics.derived["cvel"][self.bodies]
-        arm = physics.derived["xpos"][self.bodies] - physics.derived["subtree_com"][self.tree_roots]
+        moving = derived["cvel"][self.bodies]
+        arm = derived["xpos"][self.bodies] - derived["subtree_com"][self.tree_roots]
         turning = moving[:, :3]
-        return moving[:, 3:] + step.xp.cross(turning, arm), turning
+        return moving[:, 3:] + xp.cross(turning, arm), turning
 
     def root_offset(self, step: "Step") -> Array:
         """From where the root is to be to where it is, [3] in m."""

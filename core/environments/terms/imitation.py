@@ -130,7 +130,7 @@ class TrackBodyVelocities(RewardTerm):
 
     def measure(self, step: "Step", model: "ModelIndex") -> Array:
         rows, now = model.followed.compared, step.reference.now
-        linear, angular = model.followed.velocities(step.after, step)
+        linear, angular = model.followed.velocities(step.after.derived, step.xp)
         return 0.5 * (
             _kernel(_mean_square(linear[rows] - now.linear_velocities[rows], step), self.tolerance, step)
             + _kernel(
