@@ -51,8 +51,10 @@ class AlgorithmInfo:
     environment's without it. refusal: why resolved values do not go together, or not with an environment;
     None where they do. least_memory: what a run under resolved values certainly needs on each of its devices.
     environment_options: options of the environment of this id that the tuned values are made for.
+    layers: the layers of a policy whose activations a rollout can record, with their sizes, under resolved
+    values and the size of an action.
     no_export: why its policies are not written for programs elsewhere; None where they are, which needs the
-    file of `core.algorithms.policy_file`. A row may leave these five out.
+    file of `core.algorithms.policy_file`. A row may leave these six out.
     """
 
     spec: type[BaseSpec]
@@ -62,6 +64,7 @@ class AlgorithmInfo:
     refusal: Callable[[Any, EnvironmentInfo, Device], Rejected | None] = lambda *_: None
     least_memory: Callable[[Any, EnvironmentInfo, int], MemoryNeed] = lambda *_: MemoryNeed([])
     environment_options: Callable[[Any, str], Mapping[str, Any]] = lambda *_: {}
+    layers: Callable[[Any, int], Mapping[str, int]] = lambda *_: {}
     no_export: str | None = "this version writes them in one form alone"
 
 
@@ -75,6 +78,7 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             ppo_tuned.tuned,
             ppo.refusal,
             ppo.least_memory,
+            layers=ppo.layers,
             no_export=None,
         ),
         AlgorithmInfo(
@@ -105,6 +109,7 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             sac_tuned.tuned,
             sac.refusal,
             sac.least_memory,
+            layers=sac.layers,
             no_export=None,
         ),
     )

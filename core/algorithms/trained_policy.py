@@ -6,8 +6,11 @@ from typing import Any, NamedTuple
 
 import jax
 
+from core.algorithms.activations import ActivationReader, LatentNoise
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.checkpoint import kind_of, of_seed
+from core.algorithms.export.network import network_in
+from core.algorithms.policy_file import PolicyParams
 from core.environments.environment import Environment, State
 from core.environments.rollout import ParametricPolicy
 from core.environments.wrappers.action_repeat import ActionHold
@@ -26,18 +29,23 @@ class TrainedPolicy:
     """A policy's parameters and a function of them: a later checkpoint's need no new compilation.
 
     acting: how it acts in an environment like the one it was trained in. A caller without an environment uses
-    `gaitway.policy`.
+    `gaitway.policy`. activations: makes the reader of its layers, or raises NotExportable; None: it has no
+    layers that can be read.
     """
 
     parameters: Any
     acting: Callable[[Environment], Acting]
+    activations: Callable[[], ActivationReader] | None = None
 
 
 def of_network(
-    parameters: Any, answer: Callable[[Any, Any, jax.Array], jax.Array], action_repeat: int
+    parameters: PolicyParams,
+    answer: Callable[[Any, Any, jax.Array], jax.Array],
+    latent_noise: LatentNoise | None = None,
 ) -> TrainedPolicy:
     """A policy that takes observations alone. answer: (parameters, observation, key) -> action [action_size];
-    action_repeat: time steps for which an action is held."""
+    latent_noise: that of its intentions."""
+    action_repeat = parameters.config.action_repeat
 
     def acting(environment: Environment) -> Acting:
         if action_repeat == 1:
@@ -48,7 +56,10 @@ def of_network(
 
         return Acting(ActionHold(environment), act)
 
-    return TrainedPolicy(parameters, acting)
+    def activations() -> ActivationReader:
+        return ActivationReader(network_in(parameters), latent_noise)
+
+    return TrainedPolicy(parameters, acting, activations)
 
 
 def policy_from_checkpoint(

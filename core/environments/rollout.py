@@ -1,7 +1,7 @@
 """Running a policy in an environment, and recording its episodes."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import islice
 from typing import Any, Protocol, runtime_checkable
 
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.compilation import compiling
-from core.environments.environment import Environment, State, terminated
+from core.environments.environment import Environment, State, innermost, terminated
 from core.environments.info import POLICY_GROUP
-from core.environments.trajectory import ARENA, Episode, Trajectory, describe
+from core.environments.trajectory import ARENA, Episode, FollowedClip, Trajectory, describe
 
 # (observation [observation_size], or several by name, key) -> action [action_size]
 Policy = Callable[[Any, jax.Array], jax.Array]
@@ -36,8 +36,31 @@ class HasCommand(Protocol):
 
     @property
     def recorded(self) -> Mapping[str, str]:
-        """The entries of `State.info` that are an episode's `command` or `target`, by these names."""
+        """The entries of `State.info` that are an episode's `command`, `target` or `reference_frame`, by
+        these names."""
         ...
+
+
+@runtime_checkable
+class HasClips(Protocol):
+    """The attribute of an environment whose body may follow clips."""
+
+    @property
+    def clips(self) -> Sequence[FollowedClip]:
+        """In the order in which `reference_frame` counts their frames; none without a reference."""
+        ...
+
+
+def clips_of(environment: Environment) -> Sequence[FollowedClip]:
+    """The clips that the body follows; none where it follows none."""
+    inner = innermost(environment)
+    return inner.clips if isinstance(inner, HasClips) else ()
+
+
+def action_keys(key: jax.Array, episode: int, num_steps: int) -> jax.Array:
+    """The keys [num_steps] with which a policy acts in an episode of `Roller.episodes` under this key."""
+    of_episode = jax.random.fold_in(jax.random.fold_in(key, episode), _OF_ACTIONS)
+    return jax.vmap(jax.random.fold_in, (None, 0))(of_episode, jnp.arange(num_steps))
 
 
 def random_policy(action_size: int) -> Policy:
@@ -181,7 +204,7 @@ def cut(episode: Episode, num_steps: int) -> Episode:
         **{name: getattr(episode, name)[: num_steps + 1] for name in states},
         **{
             name: values[: num_steps + 1]
-            for name in ("target", "command", "velocity")
+            for name in ("target", "command", "velocity", "reference_frame")
             if (values := getattr(episode, name)) is not None
         },
         action=episode.action[:num_steps],
@@ -194,6 +217,8 @@ def cut(episode: Episode, num_steps: int) -> Episode:
 def trajectory_of(environment: Environment, episodes: Sequence[Episode], /, **facts: Any) -> Trajectory:
     """Episodes with a description of their numbers; facts: the environment's id, the seed, the policy."""
     body = str(environment.model.body(environment.tracked_body).name)
+    if clips := clips_of(environment):
+        facts["clips"] = [asdict(one) for one in clips]
     about = describe(environment.model, dt_s=environment.dt, tracked_body=body, **facts)
     return Trajectory(list(episodes), about)
 
@@ -229,7 +254,8 @@ def _observed(environment: Environment, state: State) -> dict[str, jax.Array]:
     if isinstance(obs, Mapping):
         obs = obs[POLICY_GROUP]
     seen = {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": obs}
-    recorded = environment.recorded if isinstance(environment, HasCommand) else {}
+    inner = innermost(environment)
+    recorded = inner.recorded if isinstance(inner, HasCommand) else {}
     if TARGET in state.info:
         recorded = {"target": TARGET, **recorded}
     return seen | {name: state.info[entry] for name, entry in recorded.items()}

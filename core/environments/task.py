@@ -50,6 +50,7 @@ from core.environments.terms.terminations import OutsideHeightRange, Termination
 from core.environments.terms.vocabulary import AnyReward
 from core.environments.terrain.grid import LAYOUT, WALKED, TerrainGrid
 from core.environments.torque_speed_curve import TorqueSpeedCurve
+from core.environments.trajectory import FollowedClip
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import initial_qpos
 
@@ -274,13 +275,25 @@ class TaskEnv(MujocoEnv):
     @property
     def recorded(self) -> Mapping[str, str]:
         """See `HasCommand`."""
+        of_reference = {} if self._playback is None else {"reference_frame": FRAME}
         match self._options.command:
             case VelocityCommand():
-                return {"command": "command"}
+                return {"command": "command", **of_reference}
             case PositionCommand():
-                return {"target": "target"}
+                return {"target": "target", **of_reference}
             case _:
-                return {}
+                return of_reference
+
+    @property
+    def clips(self) -> Sequence[FollowedClip]:
+        """See `HasClips`."""
+        if self._playback is None:
+            return ()
+        frames = self._playback.frames
+        return [
+            FollowedClip(name, int(start), int(length))
+            for name, start, length in zip(frames.names, frames.starts, frames.lengths, strict=True)
+        ]
 
     @property
     def terrain_levels(self) -> TerrainGrid | None:

@@ -47,7 +47,22 @@ _OPTIONAL = (
         "m/s, m/s, rad/s",
         "what it does: forward, left and turn in the tracked body's frame; with a command",
     ),
+    (
+        "reference_frame",
+        "[T+1]",
+        "1",
+        "the frame of the reference that the body is to be in, counted over all of `clips`",
+    ),
 )
+
+
+@dataclass(frozen=True)
+class FollowedClip:
+    """A clip as a body follows it, a frame for each action. first_frame: its place among those of all."""
+
+    name: str
+    first_frame: int
+    num_frames: int
 
 
 @dataclass(frozen=True)
@@ -57,7 +72,7 @@ class Episode:
     arena: `ARENA` [ngeom, 3 or 4], where episodes differ in the geoms of their arena.
 
     terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name. target, command,
-    velocity: see `_OPTIONAL`; None if the environment has none.
+    velocity, reference_frame: see `_OPTIONAL`; None if the environment has none.
     """
 
     time: NDArray[np.float64]
@@ -72,6 +87,7 @@ class Episode:
     target: NDArray[np.float32] | None = None
     command: NDArray[np.float32] | None = None
     velocity: NDArray[np.float32] | None = None
+    reference_frame: NDArray[np.int32] | None = None
     arena: Mapping[str, NDArray[np.float32]] = field(default_factory=dict[str, Any])
 
     @property

@@ -16,6 +16,7 @@ from core.environments.terms.terrain import BOX, MOST_BOXES
 from core.environments.terms.unmatched import unmatched
 from core.errors import Problem, Rejected
 from core.jobs.job import Artifact, Job
+from core.jobs.recording import check_recording
 from core.jobs.resolved import ResolvedJob, resolve_job
 from core.jobs.source import source_artifact
 from core.jobs.spec import (
@@ -314,6 +315,7 @@ def _check_rollout(spec: RolloutSpec, info: EnvironmentInfo, store: JobStore) ->
         raise Rejected(detail, [Problem("/num_steps", detail), Problem("/num_episodes", detail)])
     if spec.source is not None:
         source_artifact(spec, spec.source, store.get)
+    check_recording(spec, info, store.get)
     match spec.policy:
         case ConstantPolicy(action=action) if len(action) != info.action_size:
             detail = f"{info.id} takes {info.action_size} action components; {len(action)} were given."

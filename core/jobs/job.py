@@ -26,6 +26,7 @@ ArtifactRole = Literal[
     "video",
     "poster",
     "trajectory",
+    "recording",
     "scene",
     "replay",
     "lost_body",

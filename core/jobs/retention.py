@@ -25,7 +25,7 @@ Rule = Literal["checkpoints", "videos_days", "replays_days", "failed_days", "can
 ROLES: Mapping[Rule, tuple[ArtifactRole, ...]] = {
     "checkpoints": ("checkpoint",),
     "videos_days": ("video", "poster"),
-    "replays_days": ("replay", "scene", "trajectory"),
+    "replays_days": ("replay", "scene", "trajectory", "recording"),
 }
 WORDS: Mapping[Rule, str] = {
     "checkpoints": "older checkpoints",
@@ -59,7 +59,7 @@ class RetentionRules(Strict):
     )
     replays_days: Days | None = Field(
         default=None,
-        description="Replays, their scenes, and rollouts' trajectories go after so many days.",
+        description="Replays, their scenes, rollouts' trajectories and recordings go after so many days.",
         examples=[90],
     )
     failed_days: Days | None = Field(

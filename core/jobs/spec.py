@@ -20,6 +20,7 @@ from core.bounds import LONGEST_NAME, LONGEST_NOTE, MOST_ITEMS, FreeOptions, Pas
 from core.documents import Strict
 from core.environments.randomization import Randomizations
 from core.news.webhook import MAX_WEBHOOKS, WebhookName
+from core.patterns import PATTERNS, Patterns
 from core.physics.availability import PhysicsChoice
 from core.rendering.layout import Layout
 from core.rendering.request import Overlay
@@ -395,6 +396,19 @@ def _that_of_the_job() -> EnvironmentSpec:
     return EnvironmentSpec.model_construct(id="")
 
 
+class RecordingSpec(Strict):
+    """What a rollout's `recording.h5` holds besides its trajectory: where each body is, and the activations
+    of the policy's layers (docs/neuroscience.md)."""
+
+    layers: Patterns | None = Field(
+        default=None,
+        description="The layers, named by network and number: `policy/0`, or of a policy with an encoder "
+        "`encoder/0`, `latent/mean`, `latent/std`, `latent/sample`, `decoder/0`. null: all that the policy "
+        f"has. {PATTERNS}",
+        examples=[["encoder/.*", "latent/mean"]],
+    )
+
+
 class RolloutSpec(_Common):
     """Run a policy; keep the trajectory, a summary and a video."""
 
@@ -409,6 +423,14 @@ class RolloutSpec(_Common):
     )
     num_episodes: int = Field(default=1, ge=1, le=1000)
     deterministic: bool = True
+    recording: Annotated[
+        RecordingSpec | None,
+        BeforeValidator(_default_if_true, json_schema_input_type=RecordingSpec | bool | None),
+    ] = Field(
+        default=None,
+        description="Keep an HDF5 file of all that was seen, done and computed in every step; true: with "
+        "all layers of the policy.",
+    )
 
     @property
     def source(self) -> Source | None:

@@ -278,6 +278,9 @@ def rollout(  # noqa: PLR0913 # A command line's options.
     ] = None,
     name: Annotated[str | None, typer.Option()] = None,
     no_video: Annotated[bool, typer.Option("--no-video", help="Make no video.")] = False,
+    record: Annotated[
+        bool, typer.Option("--record", help="Keep recording.h5, with the activations of all layers.")
+    ] = False,
     assignments: Assignments = None,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Stay and show the progress.")] = False,
     as_json: AsJson = False,
@@ -296,6 +299,8 @@ def rollout(  # noqa: PLR0913 # A command line's options.
     spec |= {field: value for field, value in fields.items() if value is not None}
     if no_video:
         spec["video"] = None
+    if record:
+        spec["recording"] = True
     for text in assignments or ():
         path = whole_path(text)
         if path.startswith("environment.options.") and "environment" not in spec:

@@ -175,6 +175,14 @@ class Files(Jobs, Catalog, Downloads):
         artifact = self._announced(job_id, lambda job: job.newest(role, step, seed), href)
         return self._download(artifact, target(artifact.name, path), on_bytes)
 
+    def recording(
+        self, job_id: str, path: str | Path | None = None, *, on_bytes: OnBytes | None = None
+    ) -> Path:
+        """Download what a rollout recorded, an HDF5 file, to `path` (docs/neuroscience.md).
+
+        Raises NotFound for a job that records nothing."""
+        return self.download(job_id, "recording.h5", path, on_bytes=on_bytes)
+
     def battery(self, job_id: str, *, seed: int | None = None) -> dict[str, Any]:
         """What the battery of the job's policy found, as `battery.json` has it (docs/battery.md).
 

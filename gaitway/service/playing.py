@@ -95,11 +95,11 @@ def _view(task: Task, spec: RolloutSpec, events: Told) -> None:
 
     from core.environments.rollout import Roller
     from worker.training.built_environment import build_environment
-    from worker.training.roll_out import policy_and_environment
+    from worker.training.roll_out import actor
 
     built = build_environment(task)
     events.send(built.started())
-    policy, environment = policy_and_environment(task, spec, built, events)
+    policy, environment, _ = actor(task, spec, built, events)
     episodes = Roller(environment, policy).episodes(
         None, jax.random.PRNGKey(spec.seed), num_steps=spec.num_steps, num_episodes=None
     )

@@ -1,7 +1,10 @@
 """Sweeps over HTTP; the controller moves them on when a test says so."""
 
+import json
+import re
 from collections.abc import Callable
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -280,6 +283,21 @@ def test_a_setting_that_does_not_fit_is_refused_and_counts(stack: Stack, look: C
 def test_the_examples_are_accepted(stack: Stack, name: str) -> None:
     answer = stack.http.post("/sweeps", json=EXAMPLES[name]["value"])
     assert answer.status_code == 202, answer.text
+
+
+def test_the_ablations_of_the_docs_are_accepted(stack: Stack, look: Callable[[], int]) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "neuroscience.md").read_text()
+    [example] = re.findall(r"```json\n(.*?)```", page.split("## Ablations")[1], re.DOTALL)
+    answer = stack.http.post("/sweeps", json=json.loads(example))
+    assert answer.status_code == 202, answer.text
+    look()
+    first = stack.http.get(f"/sweeps/{answer.json()['id']}").json()["trials"][0]
+    spec = stack.http.get(f"/jobs/{first['job']}").json()["spec"]
+    assert spec["algorithm"]["network"] == {
+        **{"kind": "intention", "latent": 4, "kl_weight": 0.0},
+        "encoder_sees": ["command", "gait_phase"],
+    }
+    assert spec["environment"]["options"]["observation"][0] == {"kind": "projected_gravity"}
 
 
 def test_what_is_no_sweep_is_not_found(stack: Stack) -> None:

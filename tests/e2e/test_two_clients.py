@@ -185,10 +185,13 @@ def _files(stack: Stack, client: Either, folder: Path) -> None:
     attempt.keep("step-5.ckpt", b"state", role="checkpoint", step=5)
     attempt.keep("video.mp4", step=5)
     attempt.keep("poster.png", b"still", role="poster")
+    attempt.keep("recording.h5", b"HDF", role="recording", media_type="application/x-hdf5")
     attempt.keep("battery.json", b'{"passed": true}', role="battery")
     attempt.end()
     names = {found.name for found in client.artifacts(attempt.id)}
-    assert names == {"policy", "policy.npz", "step-5.ckpt", "video.mp4", "poster.png", "battery.json"}
+    pictures = {"video.mp4", "poster.png"}
+    assert names == {"policy", "policy.npz", "step-5.ckpt", *pictures, "recording.h5", "battery.json"}
+    assert client.recording(attempt.id, folder).read_bytes() == b"HDF"
     assert client.battery(attempt.id) == {"passed": True}
     with pytest.raises(Rejected) as caught:  # Its body follows no commands.
         client.test_policy(attempt.id)

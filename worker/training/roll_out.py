@@ -1,13 +1,14 @@
-"""A rollout job: episodes of a policy, their trajectory, a summary, a replay, a video, a battery."""
+"""A rollout job: episodes of a policy, their trajectory, recording, summary, replay, video and battery."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 
+from core.algorithms.activations import ActivationReader
 from core.algorithms.trained_policy import TrainedPolicy, load_policy, policy_from_checkpoint
 from core.environments import trajectory
 from core.environments.environment import Environment
@@ -30,6 +31,7 @@ from worker.training.battery import BatteryWriter
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
+from worker.training.recording import recorded
 from worker.training.video import ReplayWriter, VideoRecorder
 
 # Episodes that run side by side.
@@ -46,10 +48,11 @@ def roll_out(
     events.send(built.started(policy=spec.policy.model_dump()))
     if differs := built.other_versions(task.made_with):
         events.send(Noted(text=differs))
-    policy, env = policy_and_environment(task, spec, built, events)
+    policy, env, activations = actor(task, spec, built, events)
     whole, built = built, replace(built, environment=env)
     events.send(PhaseBegan(phase="acting"))
-    episodes = _act(spec, built, policy, events, stopping)
+    with recorded(task, spec, built, activations, events) as record:
+        episodes = _act(spec, built, policy, events, stopping, record)
     differs = (
         {"randomization": [rule.model_dump() for rule in spec.randomization]} if spec.randomization else {}
     )
@@ -98,8 +101,12 @@ def _act(
     policy: ParametricPolicy,
     events: EventWriter,
     stopping: StopRequest,
+    record: Callable[[Episode], None],
 ) -> list[Episode]:
-    """The episodes asked for; after a stop, those that have ended by then. Raises JobFailed("diverged")."""
+    """The episodes asked for; after a stop, those that have ended by then. record: is given each of them.
+
+    Raises JobFailed("diverged").
+    """
     key = jax.random.PRNGKey(spec.seed)
     num_envs = min(spec.num_episodes, _MAX_ENVS)
     roller = Roller(built.environment, policy, num_envs=num_envs)
@@ -107,6 +114,7 @@ def _act(
     for episode in roller.episodes(None, key, num_steps=spec.num_steps, num_episodes=spec.num_episodes):
         if (found := trajectory.not_finite(episode)) is not None:
             raise _diverged(len(episodes), *found)
+        record(episode)
         episodes.append(episode)
         if len(episodes) % num_envs == 0:
             events.send(Advanced(step=_steps(episodes), total=spec.num_steps * spec.num_episodes))
@@ -128,23 +136,30 @@ def _diverged(episode: int, step: int, quantity: str) -> JobFailed:
     )
 
 
-def policy_and_environment(
-    task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter
-) -> tuple[ParametricPolicy, Environment]:
-    """The policy, which ignores its parameters, and the environment that it acts in."""
+class Actor(NamedTuple):
+    """A policy, which ignores its parameters, and the environment that it acts in. activations: see
+    `TrainedPolicy`."""
+
+    policy: ParametricPolicy
+    environment: Environment
+    activations: Callable[[], ActivationReader] | None = None
+
+
+def actor(task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter) -> Actor:
+    """The policy that the job names. Raises JobFailed where its file is damaged."""
     size = built.environment.action_size
     match spec.policy:
         case CheckpointPolicy():
             trained = trained_policy(task, spec, events)
             env, act = trained.acting(built.environment)
-            return lambda _, state, key: act(trained.parameters, state, key), env
+            return Actor(lambda _, state, key: act(trained.parameters, state, key), env, trained.activations)
         case RandomPolicy():
             policy = random_policy(size)
         case ZeroPolicy():
             policy = zero_policy(size)
         case ConstantPolicy(action=action):
             policy = constant_policy(action)
-    return lambda _, state, key: policy(state.obs, key), built.environment
+    return Actor(lambda _, state, key: policy(state.obs, key), built.environment)
 
 
 def trained_policy(task: Task, spec: RolloutSpec, events: EventWriter) -> TrainedPolicy:

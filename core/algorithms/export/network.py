@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.algorithms.policy_file import read_policy
+from core.algorithms.policy_file import PolicyParams, read_policy
 
 Numbers = NDArray[np.float32]
 
@@ -71,7 +71,11 @@ def network_of(policy_file: bytes) -> PolicyNetwork:
 
     Raises JobFailed where the file is damaged, and NotExportable for a network with other parts than these.
     """
-    params = read_policy(policy_file)
+    return network_in(read_policy(policy_file))
+
+
+def network_in(params: PolicyParams) -> PolicyNetwork:
+    """The network of these parameters. Raises NotExportable for a network with other parts than these."""
     config = params.config
     mean: Any = params.normalizer.mean
     std: Any = params.normalizer.std

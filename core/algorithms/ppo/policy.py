@@ -5,8 +5,10 @@ from dataclasses import asdict
 from typing import Any, cast
 
 import jax
+import jax.numpy as jnp
 from flax import serialization
 
+from core.algorithms.activations import LatentNoise
 from core.algorithms.brax_training import init_normalizer
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, Triple, config_of, read_policy
 from core.algorithms.ppo.learner import FORMAT
@@ -42,7 +44,17 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
     def answer(params: PolicyParams, observation: Any, key: jax.Array) -> jax.Array:
         return make_inference(params, deterministic=deterministic)(observation, key)
 
-    return of_network(params, answer, params.config.action_repeat)
+    return of_network(params, answer, None if deterministic else _latent_noise(params))
+
+
+def _latent_noise(params: PolicyParams) -> LatentNoise | None:
+    """The noise of an encoder's intentions; None without an encoder."""
+    sizes, action_size, settings = _sizes(params)
+    if settings.network is None:
+        return None
+    policy = acting(make_networks(sizes, action_size, settings), tuple(params))
+    anything: Any = jax.tree.map(jnp.zeros, sizes)  # Noise does not depend on what is seen.
+    return lambda key: policy(anything, key)[1]["latent_noise"]
 
 
 def policy_from_checkpoint(content: bytes) -> PolicyParams:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
+from core.algorithms.layers import intention, plain
 from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptron
 from core.algorithms.ppo.network_spec import IntentionNetwork, LayerSizes
 from core.algorithms.spec import BaseSpec, check_curriculum
@@ -345,6 +346,14 @@ def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: i
             ),
         )
     )
+
+
+def layers(settings: PPOSpec, action_size: int) -> Mapping[str, int]:
+    """The layers of the policy, with their sizes."""
+    network = settings.network
+    if network is None:
+        return plain(settings.policy_hidden_layer_sizes, action_size)
+    return intention(network.encoder, network.latent, network.decoder, action_size)
 
 
 def _policy_parameters(settings: PPOSpec, observation: int, action: int) -> int:

@@ -60,7 +60,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
     def answer(params: PolicyParams, observation: Any, key: jax.Array) -> jax.Array:
         return make_inference(params, deterministic=deterministic)(observation, key)
 
-    return of_network(params, answer, params.config.action_repeat)
+    return of_network(params, answer)
 
 
 def _from_checkpoint(content: bytes) -> PolicyParams:

@@ -3,10 +3,12 @@
 Also which of them go together, and the least memory of a run.
 """
 
+from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from core.algorithms.layers import plain
 from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptron
 from core.algorithms.off_policy.spec import (
     OffPolicySpec,
@@ -91,6 +93,11 @@ def _empty_range(settings: SACSpec) -> Rejected | None:
 _CRITICS = 2
 # The parameters, their gradient, and Adam's two moments; and the critics that follow.
 _COPIES, _COPIES_OF_CRITICS = 4, 5
+
+
+def layers(settings: SACSpec, action_size: int) -> Mapping[str, int]:
+    """The layers of the policy, with their sizes."""
+    return plain(settings.policy_hidden_layer_sizes, action_size)
 
 
 def least_memory(settings: SACSpec, environment: EnvironmentInfo, num_devices: int) -> MemoryNeed:

@@ -12,6 +12,7 @@ from core.environments import catalog
 from core.environments.environment import Environment, State, Wrapped
 from core.environments.rollout import (
     Roller,
+    action_keys,
     constant_policy,
     cut,
     filmed,
@@ -277,3 +278,10 @@ def test_a_trajectory_says_whose_it_is(ant: Environment) -> None:
     assert (about["environment"], about["seed"], about["tracked_body"]) == ("ant", 7, "torso")
     assert about["dt_s"] == pytest.approx(0.05)
     assert len(about["actuators"]) == 8
+
+
+def test_the_keys_of_a_policys_actions_can_be_made_again() -> None:
+    roller = Roller(probes.endless(), lambda _, state, key: jax.random.uniform(key, (1,)), num_envs=2)
+    *_, last = roller.episodes(None, KEY, num_steps=4, num_episodes=3)
+    again = jax.vmap(lambda key: jax.random.uniform(key, (1,)))(action_keys(KEY, 2, 4))
+    np.testing.assert_array_equal(last.action, again)

@@ -1,7 +1,8 @@
 """Submitting, claiming, cancelling, losing: the use cases over the record."""
 
+import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from typing import Any
@@ -27,7 +28,7 @@ from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.ending import cancel, delete, end_deletions
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
-from core.jobs.spec import JOB_SPEC, Source
+from core.jobs.spec import JOB_SPEC, RecordingSpec, RolloutSpec, Source
 from core.jobs.status import JobStatus
 from core.jobs.store import Idempotency, JobQuery
 from core.jobs.submission import Acknowledgements, submit
@@ -390,6 +391,48 @@ def test_a_rollout_may_lay_the_arena_out_anew_and_change_nothing_that_the_policy
         roll_out(kind="train", arena_seed=99)
     # An action of 0 used to mean another pose for a humanoid. An older policy still needs that pose.
     assert roll_out(zero_action="middle").spec.kind == "rollout"
+
+
+def test_a_recording_names_layers_that_the_policy_has_and_is_not_too_large(service: Service) -> None:
+    job = service.submit()
+    claim = service.claim(job)
+    used = {"kind": "ppo", "policy_hidden_layer_sizes": [8, 2048]}
+    claim.start(device="cpu", details={"hyperparameters": used})
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
+    of_the_job = {"kind": "checkpoint", "job": job.id}
+
+    def record(recording: Any, policy: Any = of_the_job, **fields: Any) -> Job:
+        document = {"kind": "rollout", "environment": "ant", "policy": policy, "recording": recording}
+        return submit(JOB_SPEC.validate_python(document | fields), store=service.store, queue=service.queue)
+
+    accepted = record({"layers": ["policy/[01]"]}).spec
+    assert isinstance(accepted, RolloutSpec)
+    assert accepted.recording == RecordingSpec(layers=["policy/[01]"])
+    assert record(True, {"kind": "random"}).spec.kind == "rollout"
+    refused: list[tuple[Callable[[], Job], str, list[str]]] = [
+        (
+            lambda: record({"layers": ["policy/.*", "encoder/0"]}),
+            "No layer of the policy is called 'encoder/0'. It has policy/0, policy/1, policy/2.",
+            ["/recording/layers/1"],
+        ),
+        # 1,000,000 steps of 4 bytes × 2,048 are 8.2 GB already.
+        (
+            lambda: record(True, num_steps=100_000, num_episodes=10),
+            "At most 4 GB are allowed: record fewer layers, steps or episodes.",
+            ["/recording/layers", "/num_steps", "/num_episodes"],
+        ),
+        (
+            lambda: record({"layers": ["policy/0"]}, {"kind": "random"}),
+            "a policy of the kind `random` has none: leave `layers` out.",
+            ["/recording/layers"],
+        ),
+    ]
+    for asks, sentence, places in refused:
+        with pytest.raises(Rejected, match=re.escape(sentence)) as caught:
+            asks()
+        assert [problem.pointer for problem in caught.value.problems] == places
+    # Without the layer that makes it large, it fits.
+    assert record({"layers": ["policy/0"]}, num_steps=100_000, num_episodes=10).spec.kind == "rollout"
 
 
 def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -> None:

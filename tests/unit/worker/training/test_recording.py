@@ -1,0 +1,105 @@
+"""A rollout's recording: what it stores is what the network's formula makes of the stored observations."""
+
+import os
+import runpy
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from core.algorithms.export.network import network_of
+from core.algorithms.ppo.spec import PPOSpec
+from core.errors import JobFailed
+from core.jobs.spec import JOB_SPEC, RolloutSpec
+from tests.exports import policy_file
+from worker.protocol import MESSAGE, FileReady, Task
+from worker.training.built_environment import build_environment
+from worker.training.event_writer import EventWriter
+from worker.training.roll_out import roll_out
+
+SETTINGS = PPOSpec.model_validate(
+    {
+        "network": {"kind": "intention", "latent": 2, "encoder": [5], "decoder": [6], "places": [[1, 2]]},
+        "activation": "tanh",
+        "normalize_observations_max_abs_value": 1.5,
+    }
+)
+SEEN = np.random.default_rng(0).normal(0, 0.1, (50, 4)).astype(np.float32)
+POLICY = {"kind": "checkpoint", "job": "019aa3c2f0b1-5be0c1d2e3"}
+
+
+def rolled_out(folder: Path, **own: Any) -> FileReady:
+    """The recording of two episodes of the pendulum."""
+    document = {"kind": "rollout", "environment": "inverted_pendulum", "num_steps": 8, "num_episodes": 2}
+    spec = JOB_SPEC.validate_python({"policy": POLICY, **document, "video": None, **own})
+    assert isinstance(spec, RolloutSpec)
+    (folder / "policy").write_bytes(policy_file(SETTINGS, SEEN, 1))
+    task = Task(job_id="j", attempt=1, spec=spec, device="cpu", checkpoint="policy", policy_of="ppo")
+    read, write = os.pipe()
+    events = EventWriter(folder, write)
+    never: Any = SimpleNamespace(asked=False)
+    try:
+        roll_out(task, spec, build_environment(task), events, never)
+    finally:
+        events._pipe.close()
+    with os.fdopen(read, "rb") as pipe:
+        said = [MESSAGE.validate_json(line) for line in pipe]
+    [kept] = [one for one in said if isinstance(one, FileReady) and one.role == "recording"]
+    return kept
+
+
+def test_activations_are_the_formula_of_the_stored_observations(tmp_path: Path) -> None:
+    kept = rolled_out(tmp_path, recording=True, seed=3)
+    names = ["encoder/0", "latent/mean", "latent/std", "latent/sample", "decoder/0", "decoder/1"]
+    assert (kept.name, kept.metadata) == ("recording.h5", {"episodes": 2, "layers": names})
+    network = network_of(policy_file(SETTINGS, SEEN, 1))
+    (first, last), (hidden, out) = (
+        [(layer.kernel, layer.bias) for layer in layers] for layers in (network.encoder, network.layers)
+    )
+    with h5py.File(tmp_path / "recording.h5") as file:
+        assert (file.attrs["job"], file.attrs["seed"], file.attrs["activation"]) == ("j", 3, "tanh")
+        assert file.attrs["step_s"] == pytest.approx(file["episode_1/time"][1])
+        assert [*file["names/qpos"].asstr()] == ["qpos/slider", "qpos/hinge"]
+        for number in range(2):
+            episode = file[f"episode_{number}"]
+            found = {name: episode["activations"][name][:] for name in names}
+            seen = np.clip((episode["observation"][:-1] - network.mean) / network.std, -1.5, 1.5)
+            encoded = np.tanh(seen[:, [1, 2]] @ first[0] + first[1])
+            mean, log_std = np.split(encoded @ last[0] + last[1], 2, axis=1)
+            decoded = np.tanh(np.concatenate([mean, seen[:, [0, 3]]], axis=1) @ hidden[0] + hidden[1])
+            expected = [encoded, mean, np.exp(log_std), mean, decoded, decoded @ out[0] + out[1]]
+            for name, values in zip(names, expected, strict=True):
+                np.testing.assert_allclose(found[name], values, rtol=0, atol=1e-5, err_msg=name)
+            location = found["decoder/1"][:, :1]
+            np.testing.assert_allclose(np.tanh(location), episode["action"], rtol=0, atol=1e-5)
+
+
+def test_the_example_draws_a_layer(tmp_path: Path) -> None:
+    rolled_out(tmp_path, recording={"layers": ["latent/mean", "encoder/0"]}, num_steps=40)
+    example = runpy.run_path(str(Path(__file__).parents[4] / "examples" / "plot_recording.py"))
+    example["plot"](tmp_path / "recording.h5", tmp_path / "encoder.png", "encoder/0")
+    assert (tmp_path / "encoder.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(SystemExit, match="no layer 'decoder/0'; there are encoder/0, latent/mean"):
+        example["plot"](tmp_path / "recording.h5", tmp_path / "none.png", "decoder/0")
+    # A rhythm of 2 Hz, of which both joints have a part: a turn takes half a second.
+    seconds = np.arange(400) * 0.01
+    joints = np.stack([np.sin(4 * np.pi * seconds), np.cos(4 * np.pi * seconds - 1)], axis=1)
+    phase = example["gait_phase"](joints, 0.01)
+    np.testing.assert_allclose(np.diff(np.unwrap(phase, period=1)), 0.02, atol=1e-6)
+
+
+def test_a_policy_without_layers_has_a_recording_without_activations(tmp_path: Path) -> None:
+    kept = rolled_out(tmp_path, policy={"kind": "random"}, recording={})
+    assert kept.metadata["layers"] == []
+    with h5py.File(tmp_path / "recording.h5") as file:
+        assert "activations" not in file["episode_0"]
+        assert file["episode_0/body_position"].shape[1:] == (2, 3)
+
+
+def test_a_layer_that_is_not_there_is_refused_before_anything_is_done(tmp_path: Path) -> None:
+    with pytest.raises(JobFailed, match=r"No layer of the policy is called 'policy/0'\. It has encoder/0, "):
+        rolled_out(tmp_path, recording={"layers": ["policy/0"]})
+    assert not list(tmp_path.glob("*.h5"))
