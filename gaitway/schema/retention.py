@@ -13,7 +13,7 @@ class RetentionView(View):
     project: str = Field(examples=["gaits"])
     checkpoints: int | None = Field(default=None, description="Of each ended job the newest so many stay.")
     videos_days: int | None = Field(default=None, description="Days after a job's end.")
-    replays_days: int | None = Field(default=None, description="Of trajectories, too.")
+    replays_days: int | None = Field(default=None, description="Of trajectories and recordings, too.")
     failed_days: int | None = Field(default=None, description="For failed jobs as a whole.")
     cancelled_days: int | None = Field(default=None, description="For cancelled jobs as a whole.")
     set_at: datetime | None = None

@@ -76,12 +76,13 @@ def test_the_client_takes_last_and_parts_of_ids(client: Client) -> None:
 def test_a_rollout_of_a_job_takes_its_environment_and_the_first_hour_has_its_commands(stack: Stack) -> None:
     trained = Attempt(stack, job(environment={"id": "ant", "options": {"healthy_reward": 0.5}}))
     trained.keep("checkpoint-10", role="checkpoint", step=10)
-    told = gaitway(stack, "rollout", "last", "--episodes", "3", "--no-video")
+    told = gaitway(stack, "rollout", "last", "--episodes", "3", "--no-video", "--record")
     rollout = told.stdout.strip()
     assert f"/#/jobs/{rollout}" in told.stderr
     spec = stack.http.get(f"/jobs/{rollout}").json()["spec"]
     assert spec["environment"] == {"id": "ant", "options": {"healthy_reward": 0.5}}
     assert (spec["policy"]["job"], spec["num_episodes"], spec["video"]) == (trained.id, 3, None)
+    assert spec["recording"] == {}
     shown = gaitway(stack, "show", trained.id).output
     assert "settings:\n    environment.options.healthy_reward  0.5\n  filled in:\n" in shown
     assert re.search(r"^    algorithm\.learning_rate +\d", shown, re.MULTILINE)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import h5py
 import httpx
 import jax
 import numpy as np
@@ -220,7 +221,7 @@ def test_metrics_have_braxs_names_and_rise_in_step(client: Client, undisturbed: 
 def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
     client: Client, undisturbed: JobView, tmp_path: Path
 ) -> None:
-    job = rolled_out(client, undisturbed, num_steps=40, num_episodes=2)
+    job = rolled_out(client, undisturbed, num_steps=40, num_episodes=2, recording=True)
     shown = trajectory.load(client.download(job.id, "trajectory.npz", tmp_path / "trajectory.npz"))
     assert [episode.num_steps for episode in shown.episodes] == [40, 40]
     summary = httpx.get(f"{client.base_url}/jobs/{job.id}/artifacts/summary.json").json()
@@ -228,6 +229,11 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
     assert summary["episodes"][1]["return"] == pytest.approx(expected)
     assert job.newest("video") is not None
     assert job.artifact("path.png") is not None
+    with h5py.File(client.recording(job.id, tmp_path)) as recording:
+        np.testing.assert_array_equal(recording["episode_1/qpos"], shown.episodes[1].qpos)
+        layers = recording["episode_1/activations/policy"]
+        action = np.tanh(layers[f"{len(layers) - 1}"][:, : shown.episodes[1].action.shape[1]])
+        np.testing.assert_allclose(action, shown.episodes[1].action, rtol=0, atol=1e-4)
 
 
 @pytest.mark.extra
