@@ -13,6 +13,8 @@ from core.algorithms.brax_training import networks
 from core.algorithms.export.network import PolicyNetwork
 
 Numbers = NDArray[np.float32]
+# As `jax.random.PRNGKey` makes them, one a row.
+Keys = NDArray[np.uint32]
 # (kernel [inputs, outputs], bias [outputs]) of each.
 Layers = Sequence[tuple[Any, Any]]
 # Standard normal noise [latent] of an intention, from the key with which the policy acted.
@@ -37,24 +39,20 @@ class ActivationReader:
         )
         self._all = jax.jit(jax.vmap(self._of_a_step, (None, 0, 0)))
 
-    def read(
-        self, observations: Numbers, keys: jax.Array, chosen: Collection[str]
-    ) -> dict[str, NDArray[np.float32]]:
+    def read(self, observations: Numbers, keys: Keys, chosen: Collection[str]) -> dict[str, Numbers]:
         """The activations [T, size] of the chosen layers, after their non-linearity; a network's last layer
-        has none. observations: [T, observation_size]; keys: with which the policy acted, [T]."""
+        has none. observations: [T, observation_size]; keys: with which the policy acted, [T, 2]."""
         parts = [
-            self._part(observations[start : start + _ROWS], keys[start : start + _ROWS])
+            self._part(observations[start : start + _ROWS], keys[start : start + _ROWS], chosen)
             for start in range(0, len(observations), _ROWS)
         ]
         return {name: np.concatenate([part[name] for part in parts]) for name in chosen}
 
-    def _part(self, observations: Numbers, keys: jax.Array) -> Mapping[str, Numbers]:
-        missing = _ROWS - len(observations)
-        seen = np.pad(observations, ((0, missing), (0, 0)))
-        acted = jnp.concatenate([keys, jnp.repeat(keys[:1], missing, axis=0)])
+    def _part(self, observations: Numbers, keys: Keys, chosen: Collection[str]) -> Mapping[str, Numbers]:
+        filled = ((0, _ROWS - len(observations)), (0, 0))
         with jax.default_matmul_precision("highest"):
-            found = self._all(self._weights, seen, acted)
-        return {name: np.asarray(values)[: len(observations)] for name, values in found.items()}
+            found = self._all(self._weights, np.pad(observations, filled), np.pad(keys, filled))
+        return {name: np.asarray(found[name])[: len(observations)] for name in chosen}
 
     def _of_a_step(
         self, weights: Sequence[Layers], observation: jax.Array, key: jax.Array

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import jax
+import numpy as np
 
 from core.algorithms.activations import ActivationReader
 from core.algorithms.export.network import NotExportable
@@ -55,8 +56,8 @@ def recorded(
         def record(episode: Episode) -> None:
             values = {}
             if reader is not None and chosen:
-                keys = action_keys(key, writer.num_episodes, spec.num_steps)[: episode.num_steps]
-                values = reader.read(episode.observation[:-1], keys, chosen)
+                keys = np.asarray(action_keys(key, writer.num_episodes, spec.num_steps))
+                values = reader.read(episode.observation[:-1], keys[: episode.num_steps], chosen)
             writer.add(episode, values)
 
         yield record

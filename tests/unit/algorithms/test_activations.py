@@ -23,7 +23,7 @@ NETWORK: dict[str, Any] = {
     "places": [[3, 1], [0, 2]],
 }
 SEEN = np.random.default_rng(0).normal(1, 2, (1001, 5)).astype(np.float32)
-KEYS = jax.random.split(jax.random.key(1), len(SEEN))
+KEYS = np.asarray(jax.random.split(jax.random.PRNGKey(1), len(SEEN)))
 
 
 def reader_of(settings: PPOSpec | SACSpec) -> ActivationReader:
