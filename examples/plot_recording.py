@@ -17,6 +17,7 @@ import matplotlib.pyplot as plt
 
 def principal_components(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows [T, n] along their two directions of most variance [T, 2], and each one's share of it all."""
+    values = np.column_stack([values, np.zeros(len(values))])  # One number alone has no second direction.
     centred = values - values.mean(axis=0)
     _, deviations, directions = np.linalg.svd(centred, full_matrices=False)
     return centred @ directions[:2].T, deviations[:2] ** 2 / max(np.sum(deviations**2), 1e-12)

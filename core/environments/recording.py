@@ -79,7 +79,8 @@ class RecordingWriter:
         self._model = model
         self._clips = clips
         self.num_episodes = 0
-        self._file = h5py.File(self._part, "w")
+        # The first format whose attributes may be longer than 64 kB, as options of an environment are.
+        self._file = h5py.File(self._part, "w", libver=("v108", "v108"))
         self._file.attrs.update({"format": FORMAT, "version": VERSION})
         self._file.attrs.update({name: _attribute(value) for name, value in about.items()})
         self._scales = dict[str, list[Any]]()

@@ -41,25 +41,33 @@ def rolled_out(folder: Path, **own: Any) -> FileReady:
     read, write = os.pipe()
     events = EventWriter(folder, write)
     never: Any = SimpleNamespace(asked=False)
-    try:
-        roll_out(task, spec, build_environment(task), events, never)
-    finally:
-        events._pipe.close()
     with os.fdopen(read, "rb") as pipe:
+        try:
+            roll_out(task, spec, build_environment(task), events, never)
+        finally:
+            events._pipe.close()
         said = [MESSAGE.validate_json(line) for line in pipe]
     [kept] = [one for one in said if isinstance(one, FileReady) and one.role == "recording"]
     return kept
 
 
-def test_activations_are_the_formula_of_the_stored_observations(tmp_path: Path) -> None:
-    kept = rolled_out(tmp_path, recording=True, seed=3)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FileReady]:
+    """A recording of all layers."""
+    folder = tmp_path_factory.mktemp("whole")
+    kept = rolled_out(folder, recording=True, seed=3)
+    return folder / kept.path, kept
+
+
+def test_activations_are_the_formula_of_the_stored_observations(whole: tuple[Path, FileReady]) -> None:
+    recording, kept = whole
     names = ["encoder/0", "latent/mean", "latent/std", "latent/sample", "decoder/0", "decoder/1"]
     assert (kept.name, kept.metadata) == ("recording.h5", {"episodes": 2, "layers": names})
     network = network_of(policy_file(SETTINGS, SEEN, 1))
     (first, last), (hidden, out) = (
         [(layer.kernel, layer.bias) for layer in layers] for layers in (network.encoder, network.layers)
     )
-    with h5py.File(tmp_path / "recording.h5") as file:
+    with h5py.File(recording) as file:
         assert (file.attrs["job"], file.attrs["seed"], file.attrs["activation"]) == ("j", 3, "tanh")
         assert file.attrs["step_s"] == pytest.approx(file["episode_1/time"][1])
         assert [*file["names/qpos"].asstr()] == ["qpos/slider", "qpos/hinge"]
@@ -77,13 +85,13 @@ def test_activations_are_the_formula_of_the_stored_observations(tmp_path: Path) 
             np.testing.assert_allclose(np.tanh(location), episode["action"], rtol=0, atol=1e-5)
 
 
-def test_the_example_draws_a_layer(tmp_path: Path) -> None:
-    rolled_out(tmp_path, recording={"layers": ["latent/mean", "encoder/0"]}, num_steps=40)
+def test_the_example_draws_a_layer(whole: tuple[Path, FileReady], tmp_path: Path) -> None:
+    recording, _ = whole
     example = runpy.run_path(str(Path(__file__).parents[4] / "examples" / "plot_recording.py"))
-    example["plot"](tmp_path / "recording.h5", tmp_path / "encoder.png", "encoder/0")
+    example["plot"](recording, tmp_path / "encoder.png", "encoder/0")
     assert (tmp_path / "encoder.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(SystemExit, match="no layer 'decoder/0'; there are encoder/0, latent/mean"):
-        example["plot"](tmp_path / "recording.h5", tmp_path / "none.png", "decoder/0")
+    with pytest.raises(SystemExit, match="no layer 'policy/0'; there are decoder/0, decoder/1, encoder/0, "):
+        example["plot"](recording, tmp_path / "none.png", "policy/0")
     # A rhythm of 2 Hz, of which both joints have a part: a turn takes half a second.
     seconds = np.arange(400) * 0.01
     joints = np.stack([np.sin(4 * np.pi * seconds), np.cos(4 * np.pi * seconds - 1)], axis=1)
