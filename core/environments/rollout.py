@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.compilation import compiling
-from core.environments.environment import Environment, State, innermost, terminated
+from core.environments.environment import Environment, State, Wrapped, innermost, terminated
 from core.environments.info import POLICY_GROUP
 from core.environments.trajectory import ARENA, Episode, FollowedClip, Trajectory, describe
 
@@ -254,11 +254,17 @@ def _observed(environment: Environment, state: State) -> dict[str, jax.Array]:
     if isinstance(obs, Mapping):
         obs = obs[POLICY_GROUP]
     seen = {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": obs}
-    inner = innermost(environment)
-    recorded = inner.recorded if isinstance(inner, HasCommand) else {}
+    recorded = _recorded(environment)
     if TARGET in state.info:
         recorded = {"target": TARGET, **recorded}
     return seen | {name: state.info[entry] for name, entry in recorded.items()}
+
+
+def _recorded(environment: Environment) -> Mapping[str, str]:
+    """`HasCommand.recorded` of the environment, or of the one that it wraps."""
+    while isinstance(environment, Wrapped) and not isinstance(environment, HasCommand):
+        environment = environment.environment
+    return environment.recorded if isinstance(environment, HasCommand) else {}
 
 
 def _episode(
