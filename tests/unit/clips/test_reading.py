@@ -201,9 +201,9 @@ def test_dm_controls_clips_are_of_its_humanoid() -> None:
     facts = [(clip.name, clip.num_frames, clip.rate) for clip in found.clips]
     assert facts == [("cmuv2019_001", 10, 20.0), ("cmuv2019_002", 10, 20.0)]
     assert found.clips[0].joints == skeleton_of(body).joints
-    # The file's own forward kinematics: its bodies lie where ours do, in another order.
+    # The file's own forward kinematics: its bodies lie where ours do.
     with h5py.File(folder / "mocap" / "test_trajectories.h5") as file:
-        theirs = file["cmuv2019_001/walkers/walker_0/body_positions"][:, 3].reshape(3, -1).T
+        theirs = file["cmuv2019_001/walkers/walker_0/body_positions"][:, 3].reshape(-1, 3)
     ours = poses(qpos(found.clips[0], skeleton_of(body))[3:4], body).body_positions[0, 1:]
     nearest = np.linalg.norm(ours[:, None] - theirs[None], axis=-1).min(axis=1)
     assert nearest.max() < 1e-3
