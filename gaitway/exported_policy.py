@@ -47,13 +47,12 @@ class Policy:
             encoded = np.array(self.encoded)
             latent, log_std = self._halves(self.encoder, values[..., encoded])
             if noise is not None:
-                latent = latent + np.exp(log_std) * noise.standard_normal(latent.shape, np.float32)
+                latent = _drawn(latent, np.exp(log_std), noise)
             others: Array = np.delete(values, encoded, axis=-1)
             values = np.concatenate([latent, others], axis=-1)
         location, scale = self._halves(self.layers, values)
         if noise is not None:
-            deviation = _softplus(scale) + _LEAST_DEVIATION
-            location = location + deviation * noise.standard_normal(location.shape, np.float32)
+            location = _drawn(location, _softplus(scale) + _LEAST_DEVIATION, noise)
         return np.tanh(location)
 
     def _halves(self, layers: Sequence[tuple[Array, Array]], values: Array) -> tuple[Array, Array]:
@@ -100,6 +99,11 @@ def load(path: str | os.PathLike[str] | BinaryIO) -> Policy:
             ),
             tuple(encoder["encoded"]),
         )
+
+
+def _drawn(mean: Array, deviation: Array, noise: np.random.Generator) -> Array:
+    drawn: Array = noise.standard_normal(mean.shape, np.float32)
+    return mean + deviation * drawn
 
 
 def _sigmoid(x: Array) -> Array:

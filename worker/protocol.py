@@ -163,7 +163,8 @@ class Task(Stored):
     step. policy_of: the algorithm, where it is the file of a policy instead. policy_seed: whose policy to
     take from a checkpoint of several seeds. best: of a training's earlier attempts, one for each seed. model:
     path of the user's own model, if the job names one. clips: paths of the clips that its reference names, by
-    their ids. engines_that_cannot: engines that cannot run it, with
+    their ids. decoder: path of the policy whose decoder acts, if the job's task names one.
+    engines_that_cannot: engines that cannot run it, with
     the reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint,
     which `auto` then takes again. source_engine: the engine that moved the environments in another job's
     checkpoint, which `auto` takes if no other can. made_with: the versions of packages
@@ -184,6 +185,7 @@ class Task(Stored):
     best: tuple[BestSoFar, ...] = ()
     model: str | None = None
     clips: dict[str, str] = {}
+    decoder: str | None = None
     engines_that_cannot: dict[EngineName, str] = {}
     body: BodySize | None = None
     begun_on: EngineName | None = None

@@ -14,7 +14,7 @@ import numpy as np
 
 from core.environments.deployment import Deployment, NotDeployed, deployment
 from core.environments.environment import TRUNCATED, Observation, State
-from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces
+from core.environments.info import CRITIC_GROUP, POLICY_GROUP
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.environments.observation_group import ObservationGroup
 from core.environments.random_start import RandomStart
@@ -43,7 +43,6 @@ from core.environments.terms.task import (
     observed,
     parts_of,
     reported,
-    task_slices,
 )
 from core.environments.terms.term import whole_steps
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
@@ -456,9 +455,9 @@ class TaskEnv(MujocoEnv):
         return jax.random.uniform(jax.random.fold_in(of_the_step, purpose), (number,))
 
     @property
-    def spaces(self) -> Spaces:
-        """The numbers of its observations and of its action by name."""
-        return task_slices(self._options, self._inventory)
+    def inventory(self) -> Inventory:
+        """The model's parts."""
+        return self._inventory
 
     def simulation(self) -> Simulation:
         if self._playback is not None:

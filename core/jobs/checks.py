@@ -28,6 +28,7 @@ from core.jobs.spec import (
     RolloutSpec,
     TrainSpec,
     ZeroPolicy,
+    decoder_job,
 )
 from core.jobs.store import JobStore
 from core.jobs.workers import kind_of
@@ -180,6 +181,8 @@ def _check_battery(spec: JobSpec, job: ResolvedJob) -> None:
         )
     elif spec.kind == "rollout" and not isinstance(spec.policy, CheckpointPolicy):
         detail = "A battery tests a trained policy: take that of a job's checkpoint, or leave `battery` out."
+    elif decoder_job(spec.environment) is not None:
+        detail = "A battery tests policies that move a body themselves, and here a decoder does."
     elif (why := job.info.cannot_run.get("native")) is not None:
         detail = f"A battery runs in C MuJoCo. {why}"
     if detail is not None:

@@ -85,6 +85,15 @@ def _bare_id(value: Any) -> Any:
     return {"id": value} if isinstance(value, str) else value
 
 
+def decoder_job(environment: EnvironmentSpec) -> str | None:
+    """The id of the job whose decoder acts in the environment's task, if one does."""
+    action: Any = environment.options.get("action")
+    if not isinstance(action, dict):
+        return None
+    said = cast("dict[str, Any]", action)
+    return str(said["job"]) if said.get("kind") == "decoder" and "job" in said else None
+
+
 EnvironmentChoice = Annotated[
     EnvironmentSpec, BeforeValidator(_bare_id, json_schema_input_type=EnvironmentSpec | EnvironmentId)
 ]

@@ -26,6 +26,7 @@ from core.errors import (
     StorageUnavailable,
 )
 from core.jobs.checks import check
+from core.jobs.decoders import with_decoder
 from core.jobs.feeds import store_imported
 from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.metrics import Block
@@ -88,7 +89,7 @@ def new_job(
     readable: the projects whose checkpoints, models and clips it may use; None: all.
     """
     check_readable_source(spec, readable, store)
-    spec = completed(with_environment(spec, store))
+    spec = with_decoder(completed(with_environment(spec, store)), store, readable)
     check_readable_uploads(spec.environment, readable, store)
     check(spec, store)
     now = store.now()

@@ -16,6 +16,7 @@ from core.errors import (
     SweepNotFinished,
     TooManySweeps,
 )
+from core.jobs.decoders import check_readable_decoder
 from core.jobs.job import new_job_id
 from core.jobs.patch import JobPatch, merged
 from core.jobs.queue import PRIORITIES
@@ -100,6 +101,7 @@ def _check_readable(spec: SweepSpec, readable: Collection[str] | None, store: Sw
 
 def _check_readable_job(job: JobSpec, readable: Collection[str], store: SweepStore) -> None:
     check_readable_source(job, readable, store)
+    check_readable_decoder(job.environment, readable, store)
     check_readable_uploads(job.environment, readable, store)
 
 

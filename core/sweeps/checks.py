@@ -10,6 +10,7 @@ from core.bounds import json_bytes
 from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
 from core.jobs import checks as job_checks
+from core.jobs.decoders import with_decoder
 from core.jobs.resolved import resolve_job
 from core.jobs.spec import JOB_SPEC, RolloutSpec, TrainSpec
 from core.jobs.store import JobStore
@@ -253,7 +254,7 @@ def _check_values(spec: SweepSpec, store: JobStore) -> None:
     """Try the ends of the axes, and some values between them, in the job's own checks."""
     for values in islice(_to_try(spec), _MAX_TRIED):
         try:
-            job_checks.check(completed_job(job_of(spec.job, values)), store)
+            job_checks.check(with_decoder(completed_job(job_of(spec.job, values)), store), store)
         except ValidationError as error:
             found = [_named(one["loc"], str(one["msg"])) for one in error.errors()]
             _raise([_translated(place, detail, spec, values) for place, detail in found])

@@ -47,7 +47,8 @@ class OtherHosts:
         if self.gang is None:
             return
         task = Task.model_validate_json((spool / "task.json").read_bytes())
-        names = [name for name in (task.checkpoint, task.model, *task.clips.values()) if name]
+        parts = (task.checkpoint, task.model, task.decoder, *task.clips.values())
+        names = [name for name in parts if name]
         hosts, port = self.gang.place.hosts, _free_port()
         for member in self._members:
             part = GangPart(hosts=hosts, rank=member.rank, coordinator=f":{port}")

@@ -10,12 +10,21 @@ from core.environments import catalog
 from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.info import INFO as MJCF
 from core.environments.mjcf.info import MjcfOptions
-from core.errors import ClipsNotFound, JobFailed, ModelNotFound, ObjectDamaged, ObjectNotFound
+from core.errors import (
+    ClipsNotFound,
+    JobFailed,
+    JobNotFound,
+    JobUnreadable,
+    ModelNotFound,
+    ObjectDamaged,
+    ObjectNotFound,
+)
 from core.jobs.attempts import Claim
+from core.jobs.decoders import decoder_file
 from core.jobs.job import Artifact, Attempt, Job
 from core.jobs.resolved import engines_that_cannot, model_of
 from core.jobs.source import source_artifact
-from core.jobs.spec import RolloutSpec, TrainSpec
+from core.jobs.spec import RolloutSpec, TrainSpec, decoder_job
 from core.jobs.uploads import clip_files_of
 from core.physics.availability import EngineName
 from core.reasons import Reason
@@ -26,6 +35,7 @@ from worker.host.commit import commit_here
 from worker.protocol import BestSoFar, Task
 
 _FILE, _BEST = "start.msgpack", "policy-best-before"
+_DECODER = "decoder.npz"
 
 
 def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
@@ -55,6 +65,7 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
     best = (_best_so_far(job, seed, claim, spool, notes) for seed in job.seeds or (None,))
     task = task.model_copy(update={"best": tuple(filter(None, best))})
     task = _with_clips(_with_model(task, claim, spool), claim, spool)
+    task = _with_decoder(task, claim, spool)
     (spool / "task.json").write_text(task.model_dump_json())
     return notes
 
@@ -152,6 +163,24 @@ def _with_source(task: Task, claim: Claim) -> Task:
     if isinstance(spec, TrainSpec) and spec.algorithm.checkpoint_holds_envs:
         return task.model_copy(update={"source_engine": _choice(source_job.engine)})
     return task
+
+
+def _with_decoder(task: Task, claim: Claim, spool: Path) -> Task:
+    """The task with the policy whose decoder acts, if one does."""
+    job_id = decoder_job(task.spec.environment)
+    if job_id is None:
+        return task
+    try:
+        file = decoder_file(task.spec.environment, claim.store.get(job_id))
+    except (JobNotFound, JobUnreadable) as error:
+        detail = f"The decoder of this task is gone. {error.detail}"
+        raise JobFailed(Reason.BAD_CHECKPOINT, detail) from None
+    if file is None:
+        detail = f"Job {job_id}, whose decoder is to act, has no exported policy."
+        raise JobFailed(Reason.BAD_CHECKPOINT, detail)
+    if (damage := _fetch(file, claim.objects, spool / _DECODER)) is not None:
+        raise JobFailed(Reason.BAD_CHECKPOINT, f"The decoder of job {job_id}: {damage}")
+    return task.model_copy(update={"decoder": _DECODER})
 
 
 def _choice(engine: str | None) -> EngineName | None:

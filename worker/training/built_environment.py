@@ -20,6 +20,7 @@ from core.environments import catalog
 from core.environments.environment import Environment, innermost
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.task import TaskEnv
+from core.environments.terms.task import TaskOptions, task_slices
 from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.jobs.resolved import ResolvedJob, resolve_job
@@ -66,7 +67,7 @@ class BuiltEnvironment:
 
     job: resolved; of a user's own model it has the names of an observation's and an action's numbers alone.
     num_devices: how many share a training. commit: of the code. model: the file of a user's own. clips: the
-    files of a reference, by their ids.
+    files of a reference, by their ids. decoder: that of the policy whose decoder acts.
     """
 
     job: ResolvedJob
@@ -79,6 +80,7 @@ class BuiltEnvironment:
     commit: str | None = None
     model: Path | None = None
     clips: Mapping[str, Path] | None = None
+    decoder: Path | None = None
 
     @property
     def info(self) -> EnvironmentInfo:
@@ -108,7 +110,8 @@ class BuiltEnvironment:
 
     def made_on(self, engine: EngineName, options: Strict) -> Environment:
         """The body under these options, on another engine. Raises JobFailed."""
-        return catalog.make(self.info, options, engine_builder(engine), self.model, self.clips)
+        builder = engine_builder(engine)
+        return catalog.make(self.info, options, builder, self.model, self.clips, self.decoder)
 
     def started(self, **details: Any) -> Started:
         """The facts on this attempt for the job's record."""
@@ -174,15 +177,16 @@ def build_environment(task: Task) -> BuiltEnvironment:
         task.commit,
         _model_of(task),
         _clips_of(task),
+        _decoder_of(task),
     )
 
 
 def _with_names(job: ResolvedJob, environment: Environment) -> ResolvedJob:
     """The job with the names of a user's own model, which only the environment knows here."""
     inner = innermost(environment)
-    if not job.info.takes_model or not isinstance(inner, TaskEnv):
+    if not job.info.takes_model or not isinstance(inner, TaskEnv) or not isinstance(job.options, TaskOptions):
         return job
-    spaces = inner.spaces
+    spaces = task_slices(job.options, inner.inventory)
     sizes = {"observation_size": spaces.observation_size, "action_size": spaces.action_size}
     return ResolvedJob(job.spec, replace(job.info, slices=lambda _: spaces, **sizes), job.options)
 
@@ -200,7 +204,8 @@ def _made(task: Task, job: ResolvedJob, engine: EngineName) -> Environment:
     if engine == "compiled":
         keep_machine_code()
     model = _model_of(task)
-    environment = catalog.make(job.info, job.options, engine_builder(engine), model, _clips_of(task))
+    builder = engine_builder(engine)
+    environment = catalog.make(job.info, job.options, builder, model, _clips_of(task), _decoder_of(task))
     environment = randomize(environment, task.spec.randomization)
     if model is not None:
         # Only a reset shows whether the engine has what the job randomises.
@@ -216,6 +221,10 @@ def _model_of(task: Task) -> Path | None:
 def _clips_of(task: Task) -> Mapping[str, Path]:
     """The files of the job's reference, by their ids; they are in the spool, too."""
     return {file_id: Path(path).absolute() for file_id, path in task.clips.items()}
+
+
+def _decoder_of(task: Task) -> Path | None:
+    return Path(task.decoder).absolute() if task.decoder else None
 
 
 def _may_take_another(task: Task, choice: EngineChoice, failed: JobFailed) -> bool:

@@ -22,6 +22,7 @@ from core.environments.environment import Environment, Wrapped
 from core.environments.mujoco_env import MujocoEnv
 from core.environments.simulated_model import NotSimulated
 from core.environments.task import TaskEnv
+from core.environments.wrappers.decoded import is_decoded
 from core.jobs.spec import TrainSpec
 from worker.protocol import Noted
 from worker.training.built_environment import BuiltEnvironment
@@ -84,6 +85,8 @@ def simulation_document(environment: Environment) -> dict[str, Any]:
     """The simulation of the body as its model says, or a refusal that says why it cannot be stepped; a
     randomised body differs from it in each episode."""
     try:
+        if is_decoded(environment):
+            raise NotSimulated("a decoder stands between its actions and the body, which the page lacks")
         return _document(_unwrapped(environment))
     except NotSimulated as error:
         return {"refusal": f"This body cannot be pushed: {error}."}
@@ -177,7 +180,7 @@ class ExportWriter:
     def _robot(self) -> Deployment | None:
         """The task as a robot runs it; None where it has no such form."""
         environment = _unwrapped(self.built.environment)
-        if not isinstance(environment, TaskEnv):
+        if not isinstance(environment, TaskEnv) or is_decoded(self.built.environment):
             return None
         try:
             return environment.deployment()

@@ -47,6 +47,7 @@ from core.errors import (
 )
 from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id
 from core.jobs.patch import JobPatch, patched
+from core.jobs.spec import decoder_job
 from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Entry, Idempotency, JobPage, JobQuery, Mark
 
@@ -67,11 +68,14 @@ class JobQueries(Session):
         is_queued = job.status == JobStatus.QUEUED
         source = job.spec.source if is_queued else None
         is_limited = is_queued and self._limits_queue(job.ownership)
-        is_more = bool(job.attempts or job.artifacts or source or is_limited)
+        decoder = decoder_job(job.spec.environment) if is_queued else None
+        is_more = bool(job.attempts or job.artifacts or source or decoder or is_limited)
         try:
             with self._transaction() if is_more else self._statements() as connection:
                 if source is not None and not rows.hold_source(connection, source):
                     raise JobNotFound(source.job)
+                if decoder is not None and not rows.hold_job(connection, decoder):
+                    raise JobNotFound(decoder)
                 if is_limited:
                     quotas.check_queue(connection, job.ownership)
                 if add_job(connection, job, idempotency):
@@ -298,6 +302,7 @@ def delete_job(connection: Connection, job_id: str, version: int) -> None:
 
 
 def borrowers_of(job_id: str) -> Any:
-    """The unfinished jobs that need a checkpoint of this one: `id`, `source_step`."""
+    """The unfinished jobs that need a checkpoint of this one, or its decoder: `id`, `source_step`."""
     wanted = select(jobs.c.id, jobs.c.source_step)
-    return wanted.where(jobs.c.status.in_(UNFINISHED), jobs.c.source == job_id).order_by(jobs.c.id)
+    needs = or_(jobs.c.source == job_id, jobs.c.decoder == job_id)
+    return wanted.where(jobs.c.status.in_(UNFINISHED), needs).order_by(jobs.c.id)

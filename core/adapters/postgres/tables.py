@@ -96,6 +96,8 @@ jobs = Table(
     Column("clip_files", ARRAY(Text), nullable=False, server_default="{}"),
     Column("source", Text),
     Column("source_step", BigInteger),
+    # The job whose decoder acts in its task.
+    Column("decoder", Text),
     Column("spec", Text, nullable=False),
     Column("status", Text, nullable=False),
     Column("reason", Text),
@@ -171,6 +173,7 @@ Index(
 Index("jobs_unfinished", jobs.c.id, postgresql_where=_IS_UNFINISHED)
 Index("jobs_yielding", jobs.c.yields_to, postgresql_where=jobs.c.yields_to.isnot(None))
 Index("jobs_by_source", jobs.c.source, postgresql_where=_IS_UNFINISHED)
+Index("jobs_by_decoder", jobs.c.decoder, postgresql_where=_IS_UNFINISHED)
 
 
 def _of_job() -> Column[Any]:

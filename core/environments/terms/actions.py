@@ -1,11 +1,11 @@
 """How a policy's action becomes the actuators' controls."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from core.bounds import Real
+from core.bounds import FreeOptions, Real
 from core.documents import Strict
 from core.environments.terms.inventory import ActuatorKind, Inventory
 from core.environments.terms.term import DELAY, Array, Delay, Kinds, Need, Term
@@ -187,6 +187,56 @@ class MixedAction(JointAction):
         return self.terms
 
 
-AnyAction = Annotated[
-    ControlAction | JointPositionAction | JointVelocityAction | JointEffortAction | MixedAction, ACTIONS
-]
+_OfTheBody = ControlAction | JointPositionAction | JointVelocityAction | JointEffortAction | MixedAction
+
+
+class DecoderAction(Action):
+    """An intention, which the decoder of another job's policy turns into that job's own action.
+
+    The last three fields say what the decoder is; a submission fills them in.
+    """
+
+    kind: Literal["decoder"] = "decoder"
+    job: Annotated[str, Field(pattern=r"^[0-9a-f]{12}-[0-9a-f]{10}$")] = Field(
+        description="A training of this body that succeeded and has an intention network (`network` of PPO)."
+    )
+    which: Literal["last", "best"] = Field(
+        default="last", description="Its policy at the end, or that of its best evaluation."
+    )
+    reach: float = Field(
+        default=2.0,
+        gt=0,
+        le=100,
+        description="An action of ±1 is an intention of ± this; the job's intentions were kept close to a "
+        "standard normal distribution.",
+    )
+    latent: int | None = Field(
+        default=None, ge=1, le=1024, description="How many numbers an intention has. Filled in."
+    )
+    sees: Annotated[list[FreeOptions], Field(max_length=64)] | None = Field(
+        default=None, description="The terms of the observation that the decoder sees. Filled in."
+    )
+    moves: Annotated[_OfTheBody, Field(discriminator="kind")] | None = Field(
+        default=None, description="The action that the decoder gives. Filled in."
+    )
+
+    @property
+    def needed(self) -> frozenset[Need]:
+        return frozenset() if self.moves is None else self.moves.needed
+
+    @model_validator(mode="after")
+    def _leaves_the_rest_to_the_job(self) -> Self:
+        for name, field in Action.model_fields.items():
+            if getattr(self, name) != field.default:
+                raise ValueError(f"{name} is that of the job whose decoder acts; leave it out")
+        return self
+
+
+AnyAction = Annotated[_OfTheBody | DecoderAction, ACTIONS]
+
+
+def of_the_body(action: Action) -> Action:
+    """The action that moves the body: what a decoder gives, or the action itself."""
+    if not isinstance(action, DecoderAction):
+        return action
+    return action.moves or ControlAction()

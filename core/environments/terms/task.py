@@ -8,9 +8,16 @@ from pydantic import Field, model_validator
 
 from core.bounds import MOST_ITEMS, Real
 from core.documents import Strict
-from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Spaces, in_order, named
+from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Slice, Spaces, in_order, named
 from core.environments.options import NoiseScale
-from core.environments.terms.actions import ActionTerm, AnyAction, ControlAction, JointAction
+from core.environments.terms.actions import (
+    ActionTerm,
+    AnyAction,
+    ControlAction,
+    DecoderAction,
+    JointAction,
+    of_the_body,
+)
 from core.environments.terms.commands import (
     AnyCommand,
     AnyEvent,
@@ -225,16 +232,26 @@ def task_slices(options: TaskOptions, model: Inventory, unit_of_action: str | No
         [part for term in terms for part in term.slices_of_history(parts)]
         for terms in (observed(options), options.critic or ())
     )
-    acts = [
-        named(name, (name,), unit_of_action, *_ends(options, actuator))
-        for name, actuator in acting(options, model)
-    ]
+    if isinstance(options.action, DecoderAction):
+        acts = _intention(options.action)
+    else:
+        acts = [
+            named(name, (name,), unit_of_action, *_ends(options, actuator))
+            for name, actuator in acting(options, model)
+        ]
     return Spaces(in_order(seen), in_order(acts), in_order(by_critic))
 
 
+def _intention(action: DecoderAction) -> list[Slice]:
+    """Its numbers; none before the action is filled in."""
+    names = (f"intention {number}" for number in range(action.latent or 0))
+    return [named("intention", names, "1", -action.reach, action.reach)]
+
+
 def acting(options: TaskOptions, model: Inventory) -> Sequence[tuple[str, Actuator | None]]:
-    """The names of an action's numbers, each with the actuator that it moves; None: it is no actuator's."""
-    action = options.action
+    """The names of the numbers of the body's action, each with the actuator that it moves; None: it is no
+    actuator's."""
+    action = of_the_body(options.action)
     if isinstance(action, ActionTerm):
         return [(name, None) for name in action.names(model)]
     named = list(zip(model.acting, model.actuators, strict=True))

@@ -1,0 +1,195 @@
+"""The decoder of another job's policy as the action of a task: which job, whether it fits, what it sees.
+
+What a submission finds is stored in the action, so that all who read the job later know the task.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, cast
+
+from core.algorithms.catalog import reported
+from core.algorithms.ppo.network_spec import IntentionNetwork
+from core.algorithms.ppo.spec import PPOSpec
+from core.environments.mjcf.edit_check import edited
+from core.environments.mjcf.info import MjcfOptions
+from core.environments.terms.actions import ActionTerm, DecoderAction
+from core.environments.terms.inventory import Inventory, inventory_of
+from core.environments.terms.observations import ObservationTerm
+from core.environments.terms.task import TaskOptions, observed, parts_of
+from core.errors import JobNotFound, JobUnreadable, Problem, Rejected
+from core.jobs.job import Artifact, Job
+from core.jobs.resolved import own_model, resolve_environment
+from core.jobs.spec import EnvironmentSpec, JobSpec, TrainSpec, decoder_job
+from core.jobs.status import JobStatus
+from core.jobs.store import JobStore
+
+_ACTION = "/environment/options/action"
+_FILLED_IN = ("latent", "sees", "moves")
+# What makes a body, besides its id and the seconds of a control step.
+_OF_THE_BODY = ("model", "edits", "root", "feet")
+_OF_THE_POSE = ("keyframe", "qpos")
+
+
+def decoder_file(environment: EnvironmentSpec, source: Job) -> Artifact | None:
+    """The exported policy of the job whose decoder acts: that of its end, or of its best evaluation."""
+    action = cast("dict[str, Any]", environment.options["action"])
+    name = "policy-best.npz" if action.get("which") == "best" else "policy.npz"
+    return next((artifact for artifact in source.artifacts if artifact.name == name), None)
+
+
+def with_decoder(spec: JobSpec, store: JobStore, readable: Collection[str] | None = None) -> JobSpec:
+    """The specification, whose action says what the decoder is that it names.
+
+    readable: the projects whose jobs it may use; None: all. Raises Rejected where the job does not exist,
+    has no decoder, or is of another body, and where the task lacks what the decoder sees.
+    """
+    if decoder_job(spec.environment) is None:
+        return spec
+    _, options = resolve_environment(spec.environment)
+    if not isinstance(options, TaskOptions) or not isinstance(options.action, DecoderAction):
+        return spec  # The check of the options has refused it, or will.
+    action = options.action
+    check_readable_decoder(spec.environment, readable, store)
+    source = _source(action.job, store)
+    network, had = _network_of(source), _task_of(source)
+    if decoder_file(spec.environment, source) is None:
+        raise _refusal(f"Job {source.id} has no exported policy of this kind any more.", "which")
+    _check_same_body(spec.environment, options, source, had)
+    model = _model(spec.environment, options, store)
+    sees = [term.model_dump(mode="json") for term in _seen_by_decoder(had, network, model)]
+    _check_sees(sees, options, action.job)
+    found = {"latent": network.latent, "sees": sees, "moves": had.action.model_dump(mode="json")}
+    said = action.model_dump(mode="json")
+    for name in _FILLED_IN:
+        if said[name] not in (None, found[name]):
+            raise _refusal(f"`{name}` is not what job {action.job} has: leave it out.", name)
+    sent = cast("dict[str, Any]", spec.environment.options["action"])
+    changed = {**spec.environment.options, "action": {**sent, **found}}
+    environment = spec.environment.model_copy(update={"options": changed})
+    return spec.model_copy(update={"environment": environment})
+
+
+def check_readable_decoder(
+    environment: EnvironmentSpec, readable: Collection[str] | None, store: JobStore
+) -> None:
+    """Refuse the decoder of a job in another project, in the words for a job that does not exist."""
+    job_id = decoder_job(environment)
+    if job_id is None or readable is None:
+        return
+    with suppress(JobNotFound):  # Its own check says so.
+        if store.owner_of(job_id).project not in readable:
+            raise _refusal(JobNotFound(job_id).detail, "job")
+
+
+def _source(job_id: str, store: JobStore) -> Job:
+    """The job whose decoder is wanted, which has succeeded."""
+    try:
+        source = store.get(job_id)
+    except (JobNotFound, JobUnreadable) as error:
+        raise _refusal(error.detail, "job") from None
+    if source.status != JobStatus.SUCCEEDED:
+        raise _refusal(
+            f"Job {job_id} is {source.status}; a decoder is that of a job that has succeeded.", "job"
+        )
+    return source
+
+
+def _network_of(source: Job) -> IntentionNetwork:
+    """The intention network of a job, as it was trained. Raises Rejected where it has none."""
+    used = [a.details["hyperparameters"] for a in source.attempts if "hyperparameters" in a.details]
+    settings = None
+    if isinstance(source.spec, TrainSpec):
+        settings = reported({"kind": source.spec.algorithm.algorithm(), **used[-1]}) if used else None
+    if not isinstance(settings, PPOSpec) or settings.network is None or settings.network.places is None:
+        raise _refusal(
+            f"Job {source.id} has no decoder: it is no training by PPO with an intention `network`.", "job"
+        )
+    if source.seeds:
+        raise _refusal(
+            f"Job {source.id} has trained several seeds, and a decoder is that of a job with one.", "job"
+        )
+    if settings.action_repeat != 1:
+        raise _refusal(
+            f"Job {source.id} holds an action for {settings.action_repeat} steps; a decoder acts in each.",
+            "job",
+        )
+    return settings.network
+
+
+def _task_of(source: Job) -> TaskOptions:
+    """What the job's body did. Raises Rejected where no terms say so, or another decoder acted."""
+    _, options = resolve_environment(source.spec.environment)
+    if not isinstance(options, TaskOptions) or isinstance(options.action, ActionTerm | DecoderAction):
+        raise _refusal(
+            f"The action of job {source.id} is not one that a decoder can give: take a job whose task is "
+            "made of terms, and whose action is `control` or of joints.",
+            "job",
+        )
+    return options
+
+
+def _check_same_body(
+    environment: EnvironmentSpec, options: TaskOptions, source: Job, had: TaskOptions
+) -> None:
+    """Refuse another body, another pose or another control step than that with which the decoder was
+    trained."""
+    there = source.spec.environment
+    if environment.id != there.id:
+        raise _refusal(f"Job {source.id} trained {there.id!r}, and this task has {environment.id!r}.", "job")
+    here, before = (one.model_dump(mode="json") for one in (options, had))
+    names = [name for name in _OF_THE_BODY if here.get(name) != before.get(name)]
+    names += [f"reset.{name}" for name in _OF_THE_POSE if here["reset"][name] != before["reset"][name]]
+    names += [name for name in ("n_frames", "timestep") if here[name] != before[name]]
+    if names:
+        raise _refusal(
+            f"The decoder of job {source.id} was trained with another {', '.join(names)}: take the same.",
+            "job",
+        )
+
+
+def _model(environment: EnvironmentSpec, options: TaskOptions, store: JobStore) -> Inventory:
+    if isinstance(options, MjcfOptions):
+        return edited(own_model(options, store).inventory, options.edits)
+    return inventory_of(environment.id)
+
+
+def _seen_by_decoder(
+    had: TaskOptions, network: IntentionNetwork, model: Inventory
+) -> Sequence[ObservationTerm]:
+    """The terms of the observation that the encoder did not see. Raises Rejected where it saw part of one."""
+    encoded = {place for start, size in network.places or () for place in range(start, start + size)}
+    seen: list[ObservationTerm] = []
+    parts, start = parts_of(had, model), 0
+    for term in observed(had):
+        size = sum(part.size for part in term.slices_of_history(parts))
+        number = len(encoded.intersection(range(start, start + size)))
+        start += size
+        if number == 0:
+            seen.append(term)
+        elif number < size:
+            raise _refusal(
+                f"The encoder of that job saw only a part of its term `{term.label}`: a decoder needs whole "
+                "terms.",
+                "job",
+            )
+    return seen
+
+
+def _check_sees(sees: Sequence[Mapping[str, Any]], options: TaskOptions, job_id: str) -> None:
+    has = [term.model_dump(mode="json") for term in observed(options)]
+    if missing := [term for term in sees if term not in has]:
+        named = ", ".join(str(_said(term)) for term in missing)
+        detail = (
+            f"The decoder of job {job_id} sees what the observation of this task lacks; add it as it is "
+            f"there: {named}."
+        )
+        raise Rejected(detail, [Problem("/environment/options/observation", detail)])
+
+
+def _said(term: Mapping[str, Any]) -> dict[str, Any]:
+    """The term without what is empty."""
+    return {name: value for name, value in term.items() if value is not None}
+
+
+def _refusal(detail: str, field: str) -> Rejected:
+    return Rejected(detail, [Problem(f"{_ACTION}/{field}", detail)])
