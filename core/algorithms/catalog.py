@@ -64,8 +64,8 @@ class AlgorithmInfo:
     refusal: Callable[[Any, EnvironmentInfo, Device], Rejected | None] = lambda *_: None
     least_memory: Callable[[Any, EnvironmentInfo, int], MemoryNeed] = lambda *_: MemoryNeed([])
     environment_options: Callable[[Any, str], Mapping[str, Any]] = lambda *_: {}
-    layers: Callable[[Any, int], Mapping[str, int]] = lambda *_: {}
     no_export: str | None = "this version writes them in one form alone"
+    layers: Callable[[Any, int], Mapping[str, int]] = lambda *_: {}
 
 
 ALGORITHMS: dict[str, AlgorithmInfo] = {

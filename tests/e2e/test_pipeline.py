@@ -229,7 +229,8 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
     assert summary["episodes"][1]["return"] == pytest.approx(expected)
     assert job.newest("video") is not None
     assert job.artifact("path.png") is not None
-    with h5py.File(client.recording(job.id, tmp_path)) as recording:
+    opened: Any = h5py.File(client.recording(job.id, tmp_path))
+    with opened as recording:
         np.testing.assert_array_equal(recording["episode_1/qpos"], shown.episodes[1].qpos)
         layers = recording["episode_1/activations/policy"]
         action = np.tanh(layers[f"{len(layers) - 1}"][:, : shown.episodes[1].action.shape[1]])

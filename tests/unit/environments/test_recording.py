@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import mujoco
@@ -27,6 +28,11 @@ SPACES = Spaces(
 )
 
 
+def opened(path: Path) -> Any:
+    """The file; h5py's types do not tell groups from datasets."""
+    return h5py.File(path)
+
+
 def episode(num_steps: int) -> Episode:
     states, draw = num_steps + 1, np.random.default_rng(num_steps)
     arrays = {
@@ -50,7 +56,7 @@ def test_every_number_has_a_name_and_a_unit_and_every_row_a_time(tmp_path: Path)
         file.add(first, {"encoder/0": layer})
         file.add(second, {})
     assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
-    with h5py.File(tmp_path / "r.h5") as file:
+    with opened(tmp_path / "r.h5") as file:
         about = dict(file.attrs)
         assert (about["format"], about["num_episodes"], about["seed"]) == ("gaitway-recording", 2, 7)
         assert about["versions"] == '{"a": "1"}'
@@ -80,7 +86,7 @@ def test_a_frame_of_the_reference_is_a_clip_and_a_frame_of_it(tmp_path: Path) ->
     following = replace(episode(2), reference_frame=np.array([9, 10, 12], np.int32))
     with RecordingWriter(tmp_path / "r.h5", MODEL, SPACES, clips, {}) as file:
         file.add(following, {})
-    with h5py.File(tmp_path / "r.h5") as file:
+    with opened(tmp_path / "r.h5") as file:
         names = file["names/clip"].asstr()[:][file["episode_0/clip"][:]]
         assert [*names] == ["walk", "turn", "turn"]
         assert [*file["episode_0/clip_frame"]] == [9, 0, 2]

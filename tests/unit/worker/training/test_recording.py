@@ -31,6 +31,11 @@ SEEN = np.random.default_rng(0).normal(0, 0.1, (50, 4)).astype(np.float32)
 POLICY = {"kind": "checkpoint", "job": "019aa3c2f0b1-5be0c1d2e3"}
 
 
+def opened(path: Path) -> Any:
+    """The file; h5py's types do not tell groups from datasets."""
+    return h5py.File(path)
+
+
 def rolled_out(folder: Path, **own: Any) -> FileReady:
     """The recording of two episodes of the pendulum."""
     document = {"kind": "rollout", "environment": "inverted_pendulum", "num_steps": 8, "num_episodes": 2}
@@ -67,7 +72,7 @@ def test_activations_are_the_formula_of_the_stored_observations(whole: tuple[Pat
     (first, last), (hidden, out) = (
         [(layer.kernel, layer.bias) for layer in layers] for layers in (network.encoder, network.layers)
     )
-    with h5py.File(recording) as file:
+    with opened(recording) as file:
         assert (file.attrs["job"], file.attrs["seed"], file.attrs["activation"]) == ("j", 3, "tanh")
         assert file.attrs["step_s"] == pytest.approx(file["episode_1/time"][1])
         assert [*file["names/qpos"].asstr()] == ["qpos/slider", "qpos/hinge"]
@@ -102,7 +107,7 @@ def test_the_example_draws_a_layer(whole: tuple[Path, FileReady], tmp_path: Path
 def test_a_policy_without_layers_has_a_recording_without_activations(tmp_path: Path) -> None:
     kept = rolled_out(tmp_path, policy={"kind": "random"}, recording={})
     assert kept.metadata["layers"] == []
-    with h5py.File(tmp_path / "recording.h5") as file:
+    with opened(tmp_path / "recording.h5") as file:
         assert "activations" not in file["episode_0"]
         assert file["episode_0/body_position"].shape[1:] == (2, 3)
 
