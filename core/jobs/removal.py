@@ -76,8 +76,8 @@ def verdicts(
         for job in jobs:
             by_roles[roles_at_stake(rules, job, needs.get(job.id, ()), now)].append(job.id)
         files: dict[str, Sequence[RetainedFile]] = {}
-        for roles, ids in by_roles.items():
-            files |= store.sums_of_ended(ids) if roles is None else store.files_of_ended(ids, roles)
+        for roles, alike in by_roles.items():
+            files |= store.sums_of_ended(alike) if roles is None else store.files_of_ended(alike, roles)
         yield [judge(rules, job, files.get(job.id, ()), needs.get(job.id, ()), now) for job in jobs]
 
 

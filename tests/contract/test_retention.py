@@ -396,6 +396,18 @@ def test_pinned_jobs_and_those_of_sweeps_that_go_on_lose_nothing(job_store: Post
     check_needed("default", RetentionRules(checkpoints=1), job_store)
 
 
+def test_rules_reach_the_jobs_of_all_pages(
+    job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("core.jobs.removal._PAGE", 2)
+    for number in range(5):
+        ended(job_store, None, queued_job(number), "video")
+    assert shown(job_store, videos_days=1).jobs == 5
+    set_rules(job_store, videos_days=1)
+    apply(job_store, MemoryObjectStore())
+    assert shown(job_store, videos_days=1).jobs == 0
+
+
 def test_days_count_from_an_import_and_other_projects_are_not_touched(job_store: PostgresJobStore) -> None:
     origin = Origin(job=queued_job(9).id, version="1", imported_at=job_store.now())
     long_ago = job_store.now() - timedelta(days=900)
