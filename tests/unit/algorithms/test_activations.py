@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -73,5 +74,5 @@ def test_an_intention_is_sampled_with_the_noise_of_the_action_or_is_its_mean() -
             np.testing.assert_array_equal(noise, 0)
             continue
         act = acting(make_networks(5, 2, settings), tuple(policy.parameters))
-        used = jax.vmap(act)(SEEN, KEYS)[1]["latent_noise"]
+        used = jax.vmap(act)(SEEN, jnp.asarray(KEYS))[1]["latent_noise"]
         np.testing.assert_allclose(noise, used, rtol=0, atol=1e-4)

@@ -40,7 +40,7 @@ def episode(num_steps: int) -> Episode:
         for name, size in (("qpos", 2), ("qvel", 2), ("position", 3), ("observation", 3))
     }
     return Episode(
-        time=np.arange(states) * 0.5,
+        time=np.linspace(0, num_steps / 2, states),
         action=draw.normal(size=(num_steps, 1)).astype(np.float32),
         reward=np.ones(num_steps, np.float32),
         terminated=num_steps == 2,
