@@ -2,11 +2,13 @@
 
 `page` trains two ants, a pendulum and a robot here, for some minutes, and looks at them in Chromium.
 `gallery` trains each body, writes NAME-run.webp and prints what the first and the last evaluation measured.
-`film` writes the picture of one body from the file of a policy that was trained elsewhere: `--policy FILE`.
+`film` writes the picture of one body from the file of a policy that was trained elsewhere: `--policy FILE`,
+or of a clip that it follows, NAME-imitates.webp: `--clip FILE`.
 Look at every picture before you commit it.
 """
 
 import argparse
+import hashlib
 import io
 import tempfile
 from collections.abc import Sequence
@@ -21,6 +23,7 @@ import mujoco
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
+from bench.children.train_imitation import canonical
 from bench.stack import chromium, running_parts
 from core.algorithms.policy_file import read_policy
 from core.algorithms.ppo.policy import make_inference
@@ -45,6 +48,8 @@ _ANT: dict[str, Any] = {
 
 _FPS = 15
 _HEIGHT = 240
+# Of a clip: the longest that its film is, and the picture's width.
+_CLIP_S, _CLIP_WIDTH = 12.0, 320
 
 
 @dataclass(frozen=True)
@@ -132,6 +137,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"gallery: of {', '.join(SHOWN)}")
     parser.add_argument("--policy", type=Path, help="film: a checkpoint's policy")
+    parser.add_argument("--clip", type=Path, help="film: of a body that follows clips")
     arguments = parser.parse_args()
     if unknown := [name for name in arguments.names if name not in SHOWN]:
         parser.error(f"There is no picture {unknown[0]!r}; there are {', '.join(SHOWN)}.")
@@ -139,7 +145,9 @@ def main() -> None:
         if len(arguments.names) != 1 or arguments.policy is None:
             parser.error("film takes one NAME and a --policy.")
         [name] = arguments.names
-        _keep_film(_acted(SHOWN[name], arguments.policy), arguments.folder / f"{name}-run.webp")
+        frames = _acted(SHOWN[name], arguments.policy, arguments.clip)
+        does = "run" if arguments.clip is None else "imitates"
+        _keep_film(frames, arguments.folder / f"{name}-{does}.webp")
         return
     with running_parts(workers=1) as parts, Client(parts.url) as client:
         if arguments.what == "page":
@@ -272,17 +280,25 @@ def _print_outcome(client: Client, job: JobView) -> None:
                 print(f"  {metric.removeprefix('eval/')} {said}", flush=True)
 
 
-def _acted(shown: Shown, policy: Path) -> Sequence[Image.Image]:
-    """Pictures of a rollout in this process, under the policy of a file."""
+def _acted(shown: Shown, policy: Path, clip: Path | None) -> Sequence[Image.Image]:
+    """Pictures of a rollout in this process, under the policy of a file. clip: a file of clips, of which the
+    body follows one from its beginning to its end; None: it does what the job trains."""
     asked = TrainSpec.model_validate(shown.job).environment
-    info, options = catalog.resolve(asked.id, {**asked.options, **shown.filmed})
-    environment = catalog.make(info, options, engine_builder("native"))
-    act = make_inference(read_policy(policy.read_bytes()))
-    steps = min(shown.num_steps, round(shown.seconds / environment.dt))
-    key = jax.random.PRNGKey(shown.seed)
-    acted = rollout(environment, act, key=key, num_steps=steps, num_episodes=shown.num_episodes)
+    options, clips = {**asked.options, **shown.filmed}, dict[str, Path]()
+    seconds, width = (shown.seconds, shown.width) if clip is None else (_CLIP_S, _CLIP_WIDTH)
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
+        if clip is not None:
+            file_id = f"sha256:{hashlib.sha256(clip.read_bytes()).hexdigest()}"
+            [clips[file_id]] = canonical([clip], place)
+            reference = {"clips": [{"file": file_id}], "random_phase": 0.0}
+            options = {"task": "imitate", "reference": reference}
+        info, resolved = catalog.resolve(asked.id, options)
+        environment = catalog.make(info, resolved, engine_builder("native"), clips=clips)
+        act = make_inference(read_policy(policy.read_bytes()))
+        steps = min(shown.num_steps, round(seconds / environment.dt))
+        key = jax.random.PRNGKey(shown.seed)
+        acted = rollout(environment, act, key=key, num_steps=steps, num_episodes=shown.num_episodes)
         trajectory.save(place / "acted.npz", acted)
         mujoco.mj_saveModel(environment.model, str(place / "model.mjb"), None)
         request = RenderRequest(
@@ -292,10 +308,10 @@ def _acted(shown: Shown, policy: Path) -> Sequence[Image.Image]:
             video=place / "film.mp4",
             poster=place / "film.png",
             cameras=list(shown.cameras),
-            width=shown.width,
+            width=width,
             height=_HEIGHT,
             fps=_FPS,
-            seconds=shown.seconds,
+            seconds=seconds,
         )
         render(request, timeout_s=600)
         return _images(request.video)

@@ -39,7 +39,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         seen, *unseen = identities = [
             f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}" for file in sent
         ]
-        files = dict(zip(identities, _canonical(sent, Path(folder)), strict=True))
+        files = dict(zip(identities, canonical(sent, Path(folder)), strict=True))
 
         def job_on(identity: str) -> Any:
             reference = {**request["reference"], "clips": [{"file": identity}]}
@@ -76,7 +76,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     return told
 
 
-def _canonical(files: list[Path], folder: Path) -> Iterator[Path]:
+def canonical(files: list[Path], folder: Path) -> Iterator[Path]:
     """Files of clips as the service keeps them."""
     from core.clips.archive import to_bytes
 

@@ -50,6 +50,10 @@ class HasClips(Protocol):
         """In the order in which `reference_frame` counts their frames; none without a reference."""
         ...
 
+    def reference_positions(self, frames: NDArray[np.int32]) -> NDArray[np.float32]:
+        """The positions [N, nq] of these frames [N] of the clips; there are some."""
+        ...
+
 
 def clips_of(environment: Environment) -> Sequence[FollowedClip]:
     """The clips that the body follows; none where it follows none."""
@@ -204,7 +208,7 @@ def cut(episode: Episode, num_steps: int) -> Episode:
         **{name: getattr(episode, name)[: num_steps + 1] for name in states},
         **{
             name: values[: num_steps + 1]
-            for name in ("target", "command", "velocity", "reference_frame")
+            for name in ("target", "command", "velocity", "reference_frame", "reference")
             if (values := getattr(episode, name)) is not None
         },
         action=episode.action[:num_steps],
@@ -285,6 +289,7 @@ def _episode(
         time=np.arange(length + 1, dtype=np.float64) * environment.dt,
         position=_positions(environment, states["qpos"]),
         velocity=_velocities(environment, states["qpos"], states["qvel"]) if "command" in states else None,
+        reference=_reference(environment, states["reference_frame"]) if "reference_frame" in states else None,
         action=steps["action"][:length],
         reward=steps["reward"][:length],
         terminated=bool(len(ends)) and bool(steps["terminated"][length - 1]),
@@ -301,6 +306,11 @@ def _positions(environment: Environment, qpos: NDArray[np.float32]) -> NDArray[n
         mujoco.mj_kinematics(environment.model, data)
         positions[row] = data.xpos[environment.tracked_body]
     return positions
+
+
+def _reference(environment: Environment, frames: NDArray[np.int32]) -> NDArray[np.float32] | None:
+    inner = innermost(environment)
+    return inner.reference_positions(frames) if isinstance(inner, HasClips) else None
 
 
 def _velocities(

@@ -294,6 +294,12 @@ class TaskEnv(MujocoEnv):
             for name, start, length in zip(frames.names, frames.starts, frames.lengths, strict=True)
         ]
 
+    def reference_positions(self, frames: np.ndarray) -> np.ndarray:
+        """See `HasClips`."""
+        if self._playback is None:
+            raise ValueError("The task follows no reference.")
+        return np.asarray(self._playback.frames.frames.qpos)[frames]
+
     @property
     def terrain_levels(self) -> TerrainGrid | None:
         return self._grid if self._grid is not None and self._grid.has_curriculum else None

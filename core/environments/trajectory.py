@@ -53,6 +53,7 @@ _OPTIONAL = (
         "1",
         "the frame of the reference that the body is to be in, counted over all of `clips`",
     ),
+    ("reference", "[T+1, nq]", "m, rad; rotations as in qpos", "the positions of that frame"),
 )
 
 
@@ -72,7 +73,7 @@ class Episode:
     arena: `ARENA` [ngeom, 3 or 4], where episodes differ in the geoms of their arena.
 
     terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name. target, command,
-    velocity, reference_frame: see `_OPTIONAL`; None if the environment has none.
+    velocity, reference_frame, reference: see `_OPTIONAL`; None if the environment has none.
     """
 
     time: NDArray[np.float64]
@@ -88,6 +89,7 @@ class Episode:
     command: NDArray[np.float32] | None = None
     velocity: NDArray[np.float32] | None = None
     reference_frame: NDArray[np.int32] | None = None
+    reference: NDArray[np.float32] | None = None
     arena: Mapping[str, NDArray[np.float32]] = field(default_factory=dict[str, Any])
 
     @property

@@ -146,6 +146,10 @@ class VideoSpec(Strict):
         description="Drawn besides the body: its `joints`, its points of contact (`contacts`), the "
         "`centre_of_mass`; `transparent`: one sees through the body.",
     )
+    reference: bool = Field(
+        default=True,
+        description="Of a body that follows clips: draw, translucent, the body as the clip has it.",
+    )
     width: PixelCount = Field(default=640, description="Width of each picture, in pixels.")
     height: PixelCount = Field(default=480, description="Height of each picture, in pixels.")
     fps: int = Field(default=30, ge=1, le=120)

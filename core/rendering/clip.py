@@ -94,10 +94,11 @@ def _moments(
 def _of_shot(grid: PictureGrid, shot: Shot, fps: int) -> Iterator[Moment]:
     path = smoothed(grid.path(shot.qpos), fps=fps, spread_s=_CAMERA_SPREAD_S)
     for row, (qpos, look_at) in enumerate(zip(shot.qpos, path, strict=True)):
-        target, velocities = (
-            None if values is None else values[row] for values in (shot.target, shot.velocities)
+        target, velocities, reference = (
+            None if values is None else values[row]
+            for values in (shot.target, shot.velocities, shot.reference)
         )
-        yield Moment(qpos, look_at, target, shot.model, velocities)
+        yield Moment(qpos, look_at, target, shot.model, velocities, reference)
 
 
 def _at(pane: Sequence[Moment], number: int) -> Moment:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.rendering import arrows, floor
+from core.rendering import arrows, floor, ghost
 from core.rendering.gl import context_works
 from core.rendering.request import Overlay
 from core.rendering.scene import TARGET_BODY, CameraView, Floats, prepare, quality_of
@@ -60,6 +60,7 @@ class MujocoRenderer:
             model.vis.map.shadowclip *= 3
         self._model = model
         self._data = mujoco.MjData(model)
+        self._ghost: ghost.Ghost | None = None
         self._view = view
         self._camera = camera
         self._options = drawing_options(show)
@@ -80,12 +81,14 @@ class MujocoRenderer:
         look_at: Floats | None = None,
         target: Floats | None = None,
         velocities: Floats | None = None,
+        reference: Floats | None = None,
     ) -> NDArray[np.uint8]:
         """RGB [height, width, 3] of the positions qpos [nq].
 
         look_at: the point [3] in metres that the camera `track` looks at; by default the body itself.
         target: the point [2 or 3] where the body named `target` stands, if the model has one; else a ball
         marks it. velocities: [2, 3], what the tracked body is told and what it does; see `EpisodeMotion`.
+        reference: positions [nq] at which a translucent copy of the body is drawn as well.
         """
         has_mark = target is None or self._put_target(target)
         mark = target
@@ -107,6 +110,10 @@ class MujocoRenderer:
             floor.lay(scene, self._view.floor, target, self._view.radius)
         if not self._has_sky:
             self._hang_backdrop(target)
+        if reference is not None and self._view.body is not None:
+            if self._ghost is None:
+                self._ghost = ghost.Ghost(self._model, self._view.body)
+            self._ghost.add(scene, reference)
         if velocities is not None and (body := self._view.body) is not None:
             arrows.add(scene, self._view, self._data.xpos[body], self._data.xmat[body], velocities)
         if mark is not None and not has_mark:

@@ -68,8 +68,8 @@ _ENDED = 0.5
 
 @dataclass(frozen=True)
 class Moment:
-    """One moment of an episode. qpos: [nq]; look_at, target, velocities: as in MujocoRenderer. model: the
-    fields of the model that the episode has for itself.
+    """One moment of an episode. qpos: [nq]; look_at, target, velocities, reference: as in
+    MujocoRenderer. model: the fields of the model that the episode has for itself.
 
     has_ended: the episode ended before, and this is its last state.
     """
@@ -79,6 +79,7 @@ class Moment:
     target: Floats | None = None
     model: ModelFields = field(default_factory=dict[str, Any])
     velocities: Floats | None = None
+    reference: Floats | None = None
     has_ended: bool = False
 
 
@@ -133,7 +134,9 @@ class PictureGrid:
         for episode, moment in enumerate(moments):
             for camera, renderer in enumerate(self._renderers):
                 renderer.change_model(moment.model)
-                picture = renderer.frame(moment.qpos, moment.look_at, moment.target, moment.velocities)
+                picture = renderer.frame(
+                    moment.qpos, moment.look_at, moment.target, moment.velocities, moment.reference
+                )
                 place = whole[layout.place(episode, camera)]
                 place[:] = picture * _ENDED if moment.has_ended else picture
                 if words := self._labels.get((episode, camera)):

@@ -17,7 +17,8 @@ class RenderRequest(Stored):
 
     trajectory: a file of `core.environments.trajectory`. model: the compiled model (.mjb) or its XML.
     tracked_body: number of the body that the camera `track` follows. cameras: side by side, from the left.
-    show: what is drawn besides the body. episodes: how many are shown at the same time; 1: one after another.
+    show: what is drawn besides the body. reference: draw the clip that it follows, if any. episodes: how many
+    are shown at the same time; 1: one after another.
     width, height: pixels of each picture, both even. seconds: the longest that the video may be.
     poster: a PNG of the frame in the middle.
     """
@@ -29,6 +30,7 @@ class RenderRequest(Stored):
     poster: Path
     cameras: list[str | int] = ["track"]
     show: list[Overlay] = []
+    reference: bool = True
     episodes: int = 1
     width: int = 640
     height: int = 480

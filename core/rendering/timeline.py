@@ -1,7 +1,7 @@
 """Turns the states of control steps into positions for each frame of a video in real time."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mujoco
@@ -17,7 +17,8 @@ class EpisodeMotion:
     fields of the model that it has for itself.
 
     velocities: [T, 2, 3], what the tracked body is told and what it does, each forward and left in m/s and
-    turn in rad/s, in its own frame; None if it is told no velocity.
+    turn in rad/s, in its own frame; None if it is told no velocity. reference: the positions [T, nq] of
+    the clip that it follows, if any.
     """
 
     time: Floats
@@ -25,6 +26,7 @@ class EpisodeMotion:
     target: Floats | None = None
     model: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict[str, Any])
     velocities: Floats | None = None
+    reference: Floats | None = None
 
     @property
     def duration_s(self) -> float:
@@ -34,12 +36,14 @@ class EpisodeMotion:
 @dataclass(frozen=True)
 class Shot:
     """The frames of one episode: positions [N, nq], a target [N, 2 or 3] if any, its own fields of the model,
-    velocities [N, 2, 3] if any; see `EpisodeMotion`. The picture cuts between two shots."""
+    velocities [N, 2, 3] if any, a reference [N, nq] if any; see `EpisodeMotion`. The picture cuts between two
+    shots."""
 
     qpos: Floats
     target: Floats | None = None
     model: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict[str, Any])
     velocities: Floats | None = None
+    reference: Floats | None = None
 
 
 def shots(
@@ -62,7 +66,10 @@ def shots(
             target, velocities = (
                 None if values is None else values[held] for values in (motion.target, motion.velocities)
             )
-            yield Shot(interpolate(model, motion, own), target, motion.model, velocities)
+            reference = None
+            if motion.reference is not None:
+                reference = interpolate(model, replace(motion, qpos=motion.reference), own)
+            yield Shot(interpolate(model, motion, own), target, motion.model, velocities, reference)
 
 
 def calmed(time: Floats, values: Floats, *, spread_s: float) -> Floats:

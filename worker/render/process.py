@@ -7,6 +7,7 @@ Its caller sets MUJOCO_GL.
 import os
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,6 +49,8 @@ def _draw(request: RenderRequest) -> RenderResult:
     from core.rendering.clip import draw, load_model
 
     motions = [motion_of(episode) for episode in trajectory.load(request.trajectory).episodes]
+    if not request.reference:
+        motions = [replace(motion, reference=None) for motion in motions]
     return draw(request, load_model(request.model), motions, gl_backend=os.environ.get("MUJOCO_GL", ""))
 
 
@@ -73,6 +76,7 @@ def motion_of(episode: "Episode") -> "EpisodeMotion":
         None if episode.target is None else episode.target.astype("float64"),
         episode.arena,
         velocities,
+        None if episode.reference is None else episode.reference.astype("float64"),
     )
 
 

@@ -148,7 +148,9 @@ class VideoRecorder:
                 video=spool / f"{name}.mp4",
                 poster=spool / f"{name}.png",
                 cameras=video.shown,
-                **video.model_dump(include={"show", "episodes", "width", "height", "fps", "seconds"}),
+                **video.model_dump(
+                    include={"show", "reference", "episodes", "width", "height", "fps", "seconds"}
+                ),
             )
             num_pictures = video.fps * video.seconds * len(video.shown) * video.episodes
             return render(request, timeout_s=_START_UP_S + _SECONDS_PER_FRAME * num_pictures)

@@ -72,11 +72,12 @@ def test_the_file_explains_itself_to_whoever_has_numpy_alone(
 def test_what_only_some_episodes_have_is_kept_and_explained(two_episodes: Trajectory, tmp_path: Path) -> None:
     first, second = two_episodes.episodes
     target, told = np.full((6, 2), 0.5, np.float32), np.full((6, 3), 0.25, np.float32)
-    own = replace(first, target=target, command=told, velocity=2 * told)
+    own = replace(first, target=target, command=told, velocity=2 * told, reference=first.qpos)
     trajectory.save(tmp_path / "t.npz", Trajectory([own, second], two_episodes.about))
     back = trajectory.load(tmp_path / "t.npz")
     np.testing.assert_array_equal(back.episodes[0].target, target)
     np.testing.assert_array_equal(back.episodes[0].command, told)
+    np.testing.assert_array_equal(back.episodes[0].reference, first.qpos)
     np.testing.assert_array_equal(back.episodes[0].velocity, 2 * told)
     assert back.episodes[1].target is back.episodes[1].command is back.episodes[1].velocity is None
     assert back.about["arrays"]["episode_<i>/target"]["unit"] == "m"

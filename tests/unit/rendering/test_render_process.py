@@ -123,6 +123,19 @@ def test_the_body_named_target_stands_where_the_episode_has_its_target(
         assert (green[:, 1].mean() < 80) == (name == "episode's")
 
 
+def test_a_ghost_goes_where_the_clip_is_unless_it_is_switched_off(tmp_path: Path) -> None:
+    still = rolling_ball(0.1, speed=0.0)
+    reference = still.qpos + np.array([-0.8, *[0.0] * 6], np.float32)
+    for is_drawn in (True, False):
+        episode = replace(still, reference=reference)
+        render(ball_request(tmp_path, episode, cameras=["fixed"], reference=is_drawn), timeout_s=60.0)
+        [poster] = decoded(tmp_path / "poster.png")
+        left = poster[:, :60].astype(int)  # The camera looks along y.
+        is_teal = (left[..., 1] > left[..., 0] + 40) & (left[..., 2] > left[..., 0] + 40)
+        assert (is_teal.sum() > 100) == is_drawn
+        assert len(red(poster)) > 100  # The body itself is not translucent.
+
+
 def test_episodes_follow_one_another_up_to_the_length_asked_for(tmp_path: Path) -> None:
     request = ball_request(tmp_path, rolling_ball(0.5), rolling_ball(0.5), rolling_ball(0.5), seconds=1.2)
     assert render(request, timeout_s=60.0).frames == 12

@@ -18,6 +18,7 @@ from core.environments import catalog
 from core.environments.environment import TRUNCATED
 from core.environments.mjcf.check import problems
 from core.environments.reference.playback import FRAME
+from core.environments.rollout import cut, rollout, zero_policy
 from core.environments.task import TaskEnv
 from core.environments.terms.binding import bound
 from core.environments.terms.step import Step
@@ -320,3 +321,14 @@ def test_bodies_that_the_model_lacks_are_said(reference: dict[str, Any], words: 
 def test_the_robots_task_needs_clips() -> None:
     with pytest.raises(Rejected, match="The task imitate needs `reference`"):
         catalog.resolve("g1", {"task": "imitate"})
+
+
+def test_episodes_keep_the_positions_of_the_clip_beside_their_own(tmp_path: Path) -> None:
+    environment = follower(tmp_path, reference={"random_phase": 0.0})
+    [episode] = rollout(environment, zero_policy(1), key=KEY, num_steps=4, num_episodes=1).episodes
+    assert episode.reference is not None
+    np.testing.assert_allclose(episode.reference[:, 0], DT * np.arange(5), atol=1e-6)
+    assert episode.reference.shape == episode.qpos.shape
+    half = cut(episode, 2).reference
+    assert half is not None
+    np.testing.assert_array_equal(half, episode.reference[:3])
