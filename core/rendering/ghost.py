@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from core.rendering.scene import SHOWN_GROUPS
 
 # The page draws the same, in api/pages/lib/replay/ghost.js.
-COLOUR = (0.16, 0.62, 0.56, 0.45)
+COLOUR = (0.16, 0.62, 0.56, 0.3)
 
 
 class Ghost:

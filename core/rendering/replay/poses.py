@@ -1,7 +1,7 @@
 """An episode as the poses of bodies: what the model's kinematics make of its positions."""
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,8 +24,8 @@ _PULLEY = -2
 @dataclass(frozen=True)
 class EpisodePoses:
     """N frames of M bodies. arrays: by name, as `docs/replay.md` lists them; scale_m: what 32767 means in
-    `position` and `contact_position`, in metres. parts: nodes that are elsewhere, or of another size, in this
-    episode.
+    `position`, `contact_position` and `reference_position`, in metres. parts: nodes that are elsewhere, or of
+    another size, in this episode.
     """
 
     arrays: dict[str, NDArray[Any]]
@@ -36,7 +36,7 @@ class EpisodePoses:
 @dataclass(frozen=True)
 class _PoseFrame:
     """position [M, 3], rotation [M, 4]; contacts [C, 6]: points and normals; segments [S, 2, 3] of the
-    tendons numbered in `tendons` [S]."""
+    tendons numbered in `tendons` [S]. reference: position and rotation of the bodies that follow a clip."""
 
     position: Floats
     rotation: Floats
@@ -44,6 +44,7 @@ class _PoseFrame:
     segments: Floats
     tendons: NDArray[np.int64]
     target: Floats | None
+    reference: tuple[Floats, Floats] | None
 
 
 def moving_bodies(model: mujoco.MjModel) -> list[int]:
@@ -59,10 +60,17 @@ def target_body(model: mujoco.MjModel) -> int | None:
     return number if is_mark else None
 
 
-def poses(model: mujoco.MjModel, motion: EpisodeMotion) -> EpisodePoses:
-    """The poses of an episode, at most some 60 frames a second, the last state among them."""
+def followed_bodies(model: mujoco.MjModel, tracked_body: int) -> list[int]:
+    """The moving bodies of the tracked one's tree: a clip is of these."""
+    root = model.body_rootid[tracked_body]
+    return [body for body in moving_bodies(model) if model.body_rootid[body] == root]
+
+
+def poses(model: mujoco.MjModel, motion: EpisodeMotion, followed: Sequence[int] = ()) -> EpisodePoses:
+    """The poses of an episode, at most some 60 frames a second, the last state among them. followed: the
+    bodies whose poses are kept as its reference has them, if it has one."""
     rows = frame_rows(motion.time)
-    frames = list(_frames(model, motion, rows))
+    frames = list(_frames(model, motion, rows, list(followed)))
     arrays, scale_m = _packed(motion.time[rows] - motion.time[0], frames)
     if motion.velocities is not None:
         told, measured = np.moveaxis(motion.velocities[rows], 1, 0).astype(np.float32)
@@ -78,11 +86,13 @@ def frame_rows(time: Floats) -> NDArray[np.int64]:
     return rows if rows[-1] == len(time) - 1 else np.append(rows, len(time) - 1)
 
 
-def _frames(model: mujoco.MjModel, motion: EpisodeMotion, rows: NDArray[np.int64]) -> Iterator[_PoseFrame]:
+def _frames(
+    model: mujoco.MjModel, motion: EpisodeMotion, rows: NDArray[np.int64], followed: list[int]
+) -> Iterator[_PoseFrame]:
     model = copy.copy(model)
     for name, values in motion.model.items():
         getattr(model, name)[:] = values
-    data = mujoco.MjData(model)
+    data, clip = mujoco.MjData(model), mujoco.MjData(model)
     bodies, mark = moving_bodies(model), target_body(model)
     for row in rows:
         target: Floats | None = None
@@ -98,9 +108,13 @@ def _frames(model: mujoco.MjModel, motion: EpisodeMotion, rows: NDArray[np.int64
         mujoco.mj_collision(model, data)
         if target is not None and mark is not None:
             target = data.xpos[mark].copy()
-        yield _PoseFrame(
-            data.xpos[bodies], data.xquat[bodies], _contacts(data), *_tendons(model, data), target
-        )
+        reference = None
+        if motion.reference is not None and followed:
+            clip.qpos[:] = motion.reference[row]
+            mujoco.mj_kinematics(model, clip)
+            reference = clip.xpos[followed], clip.xquat[followed]
+        own = data.xpos[bodies], data.xquat[bodies]
+        yield _PoseFrame(*own, _contacts(data), *_tendons(model, data), target, reference)
 
 
 def _contacts(data: mujoco.MjData) -> Floats:
@@ -134,7 +148,12 @@ def _packed(time: Floats, frames: list[_PoseFrame]) -> tuple[dict[str, NDArray[A
     contacts = np.concatenate([one.contacts for one in frames])
     contact_count = np.array([len(one.contacts) for one in frames])
     touched = contacts[:, :3] - np.repeat(origin, contact_count, axis=0)
-    scale = max(float(np.abs(values).max(initial=0.0)) for values in (position, touched)) or 1.0
+    clip = [one.reference for one in frames if one.reference is not None]
+    clip_position = np.array([places for places, _ in clip])
+    clip_origin = clip_position[:, 0] if clip else clip_position
+    clip_position = clip_position - clip_origin[:, None] if clip else clip_position
+    shown = (position, touched, clip_position)
+    scale = max(float(np.abs(values).max(initial=0.0)) for values in shown) or 1.0
     arrays: dict[str, NDArray[Any]] = {
         "time": time.astype(np.float32),
         "origin": origin.astype(np.float32),
@@ -146,6 +165,10 @@ def _packed(time: Floats, frames: list[_PoseFrame]) -> tuple[dict[str, NDArray[A
     }
     if frames[0].target is not None:
         arrays["target"] = np.array([one.target for one in frames], np.float32)
+    if clip:
+        arrays["reference_origin"] = clip_origin.astype(np.float32)
+        arrays["reference_position"] = _units(clip_position / scale)
+        arrays["reference_rotation"] = _units(np.array([turns for _, turns in clip]))
     if any(len(one.tendons) for one in frames):
         arrays["tendon_count"] = np.array([len(one.tendons) for one in frames], np.uint16)
         arrays["tendon_segment"] = np.concatenate([one.segments for one in frames]).astype(np.float32)

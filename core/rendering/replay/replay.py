@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.rendering.replay.materials import sky
-from core.rendering.replay.poses import frame_rows, moving_bodies, poses, target_body
+from core.rendering.replay.poses import followed_bodies, frame_rows, moving_bodies, poses, target_body
 from core.rendering.replay.replay_file import ReplayEpisode, replay_bytes
 from core.rendering.replay.scene_file import scene_bytes
 from core.rendering.scene import CameraView, Quality, following_view, prepare
@@ -36,8 +36,9 @@ def replay_of(
     """The file of these episodes, of which there is at least one. rewards: [T] each; facts: of each, for the
     header."""
     shown, view = _shown(model, motions[0].qpos[0], tracked_body)
+    followed = followed_bodies(model, tracked_body)
     episodes = [
-        ReplayEpisode(poses(model, motion), _returns(motion, reward), fact)
+        ReplayEpisode(poses(model, motion, followed), _returns(motion, reward), fact)
         for motion, reward, fact in zip(motions, rewards, facts, strict=True)
     ]
     return replay_bytes(_about(shown, view, tracked_body), episodes)
@@ -67,6 +68,7 @@ def _sun(model: mujoco.MjModel) -> dict[str, Any]:
 def _about(model: mujoco.MjModel, view: CameraView, tracked_body: int) -> dict[str, Any]:
     return {
         "bodies": moving_bodies(model),
+        "reference_bodies": followed_bodies(model, tracked_body),
         "tracked_body": tracked_body,
         "target_body": target_body(model),
         "view": {

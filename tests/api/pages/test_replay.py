@@ -191,6 +191,25 @@ def test_the_browser_reads_the_poses_that_the_worker_wrote(tab: Tab, attempt: At
     assert len(touched) == expected.arrays["contact_count"][10]
 
 
+def test_the_clip_that_a_body_follows_is_a_ghost_that_can_be_switched_off(
+    tab: Tab, attempt: Attempt, scene: bytes
+) -> None:
+    attempt.keep("scene.glb", scene, role="scene", media_type="model/gltf-binary")
+    reference = MOTION.qpos + np.array([0.0, 0.9, *[0.0] * 6])
+    content = replay_of(MODEL, [replace(MOTION, reference=reference)], [np.full(40, 0.5)], [FACTS], 2)
+    attempt.keep("replay-100.bin", content, role="replay", media_type="application/octet-stream", step=100)
+    page = drawn(tab.open(f"#/jobs/{attempt.id}/replay?t=0.4"))
+    tab.picture("replay-ghost")
+    expect(page.get_by_label("Clip")).to_be_checked()
+    shown = page.locator("canvas").screenshot()
+    page.get_by_role("group", name="Replay of episode 1 at step 100").focus()
+    count = pictures(page)
+    page.keyboard.press("g")
+    expect(page.get_by_label("Clip")).not_to_be_checked()
+    assert "ghost=0" in page.url
+    assert after(page, count) != shown
+
+
 @pytest.mark.extra
 def test_several_episodes_stand_over_each_other_or_side_by_side(
     tab: Tab, attempt: Attempt, scene: bytes

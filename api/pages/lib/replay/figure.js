@@ -13,6 +13,7 @@ import {
 } from "../../vendor/three.js";
 import { clone } from "../../vendor/three-skeleton-utils.js";
 import { VelocityArrows } from "./arrow.js";
+import { Ghost } from "./ghost.js";
 import { Motion } from "./motion.js";
 
 const CONTACT = 0xe6993a;
@@ -39,6 +40,8 @@ export class Figure {
     const { radius } = about.view;
     this.contacts = this.#add(new CylinderGeometry(0.07 * radius, 0.07 * radius, 0.015 * radius, 16), CONTACT, most(episode.contact_count));
     this.tendons = this.#add(new CylinderGeometry(1, 1, 1, 8), 0xffffff, most(episode.tendon_count || []));
+    this.ghost = episode.reference_position ? new Ghost(scene, about, episode) : null;
+    if (this.ghost) this.root.add(this.ghost.root);
     this.target = about.target_body === null ? this.#mark(0.07 * radius, episode) : this.root.getObjectByName(`body_${about.target_body}`);
   }
 
@@ -62,12 +65,13 @@ export class Figure {
   }
 
   /** Stand as at a moment; after the end, as at the end. */
-  show(time, { contacts }) {
+  show(time, { contacts, ghost }) {
     this.motion.poses(time, (body, [x, y, z], [w, i, j, k]) => {
       this.bodies[body].position.set(x, y, z);
       this.bodies[body].quaternion.set(i, j, k, w);
     });
     this.#showVelocities(time);
+    this.ghost?.show(time, ghost);
     const target = this.motion.target(time);
     if (target) this.target?.position.fromArray(target);
     this.contacts.visible = contacts;
@@ -95,6 +99,7 @@ export class Figure {
     this.contacts.dispose();
     this.tendons.dispose();
     this.velocities?.dispose();
+    this.ghost?.dispose();
   }
 
   #hideSurroundings() {

@@ -49,7 +49,7 @@ export class Stage {
     this.figures = [];
     this.time = 0;
     // shadows: null where the machine decides.
-    this.options = { follow: true, contacts: false, shadows: null };
+    this.options = { follow: true, contacts: false, shadows: null, ghost: true };
     this.slow = { ms: 0, frames: 0 };
     this.observer = new ResizeObserver(() => this.#resize());
     this.observer.observe(canvas.parentElement);

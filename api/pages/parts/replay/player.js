@@ -21,8 +21,8 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
   const [time, setTime] = useState(start || 0);
   const [isPlaying, setPlaying] = useState(start === null && !isStill());
   const now = useRef(time);
-  const { follow, contacts, shadows } = options;
-  const seen = { follow, contacts, shadows };
+  const { follow, contacts, shadows, ghost = true } = options;
+  const seen = { follow, contacts, shadows, ghost };
 
   useEffect(() => {
     const picture = canvas.current; // A last one may be drawn after the element has left the page.
@@ -46,7 +46,7 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
     seek(Math.min(now.current, stage.duration));
   }, [shown.key]);
 
-  useEffect(() => stageOf.current?.setOptions(seen), [options.follow, options.contacts, options.shadows]);
+  useEffect(() => stageOf.current?.setOptions(seen), [follow, contacts, shadows, ghost]);
 
   const seek = (next) => {
     now.current = Math.min(Math.max(next, 0), stageOf.current.duration);
@@ -104,6 +104,7 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
     e: () => stageOf.current.orbit(10),
     f: () => setOption("follow", !options.follow),
     c: () => setOption("contacts", !options.contacts),
+    g: () => setOption("ghost", !ghost),
     r: () => stageOf.current.resetView(),
   };
   const press = (event) => {
@@ -136,13 +137,15 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
       </label>
       <label class="inline"><input type="checkbox" checked=${options.follow} onChange=${(event) => setOption("follow", event.target.checked)} /> Follow</label>
       <label class="inline"><input type="checkbox" checked=${options.contacts} onChange=${(event) => setOption("contacts", event.target.checked)} /> Contacts</label>
+      ${shown.episodes.some((episode) => episode.reference_position) &&
+      html`<label class="inline"><input type="checkbox" checked=${ghost} onChange=${(event) => setOption("ghost", event.target.checked)} /> Clip</label>`}
       <label class="inline"><input type="checkbox" checked=${shadows ?? isFine} onChange=${(event) => setOption("shadows", event.target.checked)} /> Shadows</label>
       <button type="button" onClick=${() => stageOf.current?.resetView()}>Reset the view</button>
     </div>
     <details><summary>Mouse, touch and keys</summary>
       <p class="facts">Drag to turn, with the right button or two fingers to move, wheel or pinch to come closer. With the picture
       in focus: space plays and pauses; ← → go by a frame, with shift by a second; , . change the speed; + − come closer and
-      go away; q e turn; f follows; c shows contacts; r resets the view.</p>
+      go away; q e turn; f follows; c shows contacts; g the clip that the body follows; r resets the view.</p>
     </details>
   </div>`;
 }

@@ -77,10 +77,11 @@ function Loaded({ job, files, file, query, isAlone }) {
   const options = {
     follow: query.get("follow") !== "0",
     contacts: query.get("contacts") === "1",
+    ghost: query.get("ghost") !== "0",
     shadows: { 0: false, 1: true }[query.get("shadows")] ?? null,
     speed: Number(query.get("speed")) || 1,
   };
-  const said = { follow: (on) => (on ? [] : "0"), contacts: (on) => (on ? "1" : []), shadows: (on) => (on ? "1" : "0"), speed: (speed) => (speed === 1 ? [] : speed) };
+  const said = { follow: (on) => (on ? [] : "0"), contacts: (on) => (on ? "1" : []), ghost: (on) => (on ? [] : "0"), shadows: (on) => (on ? "1" : "0"), speed: (speed) => (speed === 1 ? [] : speed) };
   const setOption = (name, value) => change({ [name]: said[name](value) }, true);
   const name = `Replay of ${shown.numbers.length > 1 ? "episodes" : "episode"} ${shown.numbers.join(", ")}${at(shown.step)}`;
   return html`

@@ -1,10 +1,12 @@
 """The poses of a replay are those of MuJoCo's kinematics."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
-from core.rendering.replay.poses import frame_rows, moving_bodies, poses
+from core.rendering.replay.poses import followed_bodies, frame_rows, moving_bodies, poses
 from tests.unit.rendering.replay.models import ARM, model_of, rolling
 
 _UNITS = 32767
@@ -62,6 +64,18 @@ def test_what_the_body_is_told_and_does_is_kept_for_each_frame() -> None:
     np.testing.assert_array_equal(arrays["velocity"], velocities[rows, 1])
     assert arrays["command"].dtype == np.float32
     assert not {"command", "velocity"} & poses(model_of(ARM), rolling()).arrays.keys()
+
+
+def test_the_tree_of_a_body_that_follows_a_clip_stands_where_the_clip_has_it_too() -> None:
+    model, motion = model_of(ARM), rolling()
+    reference = motion.qpos + np.array([3.0, *[0.0] * 7])
+    followed = followed_bodies(model, model.body("arm").id)
+    assert [model.body(body).name for body in followed] == ["ball", "arm"]
+    arrays = poses(model, replace(motion, reference=reference), followed).arrays
+    np.testing.assert_allclose(arrays["reference_origin"], arrays["origin"] + [3, 0, 0], atol=1e-6)
+    np.testing.assert_array_equal(arrays["reference_position"], arrays["position"])
+    np.testing.assert_array_equal(arrays["reference_rotation"], arrays["rotation"])
+    assert "reference_position" not in poses(model, motion, followed).arrays
 
 
 def test_a_target_that_joints_move_is_a_body_like_others() -> None:
