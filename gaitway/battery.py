@@ -1,4 +1,4 @@
-"""A job's battery in words: the test of a policy that follows velocity commands (docs/battery.md)."""
+"""A job's battery in words: the test of a policy that follows commands or clips (docs/battery.md)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,17 +13,23 @@ _NAMES = {
     "torso_rate": "torso",
     "yaw_rate": "yaw",
     "leg_velocity": "legs",
+    "reached": "to the end",
+    "root_error": "root, m",
+    "joint_error": "joints, rad",
 }
 LEGEND = (
     "Velocity and turning: means of exp(-e² / 0.25). Root mean squares: the change of the legs' actions, and "
     "of their targets in rad; the torso's roll and pitch, its yaw, and the legs' joints, in rad/s."
 )
-_MEASURED = tuple(name for name in _NAMES if name != "falls")
+_OF_CLIPS = ("root_error", "joint_error")
+_MEASURED = tuple(name for name in _NAMES if name not in ("falls", "reached", *_OF_CLIPS))
+_SHARES = ("falls", "reached")
 
 
 @dataclass(frozen=True)
 class ShownBattery:
-    """verdict: a sentence. criteria: quantity, value, bound, whether it holds. rows: one for each command."""
+    """verdict: a sentence. criteria: quantity, value, bound, whether it holds. rows: one for each command, or
+    for each clip."""
 
     verdict: str
     criteria: Sequence[tuple[str, str, str, str]]
@@ -36,20 +42,25 @@ def shown_battery(facts: Mapping[str, Any]) -> ShownBattery | None:
     try:
         criteria = [_criterion(one) for one in facts["criteria"]]
         rows = [_row(one) for one in facts["commands"]]
+        clips = [_clip(one) for one in facts.get("clips", [])]
         seconds, push = facts["spec"]["seconds"], facts["spec"]["push"]
-        how = f"{seconds:g} s under each command, in C MuJoCo with the model's own solver"
+        what = "each clip to its end" if clips else f"{seconds:g} s under each command"
+        how = f"{what}, in C MuJoCo with the model's own solver"
         verdict = f"{'Passed' if facts['passed'] else 'Not passed'}: {how}{', with pushes' if push else ''}."
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         return None
+    if clips:
+        head = ("clip", _NAMES["reached"], *(_NAMES[name] for name in _OF_CLIPS))
+        return ShownBattery(verdict, criteria, head, clips)
     head = ("command", "falls", *(_NAMES[name] for name in _MEASURED))
     return ShownBattery(verdict, criteria, head, rows)
 
 
 def _criterion(one: Mapping[str, Any]) -> tuple[str, str, str, str]:
     name, value, bound = one["quantity"], one["value"], one["bound"]
-    sign = "≥" if name.endswith("tracking") else "≤"
-    if name == "falls":
-        return "falls", f"{100 * value:.3g} %", f"{sign} {100 * bound:.3g} %", _held(one)
+    sign = "≥" if name.endswith("tracking") or name == "reached" else "≤"
+    if name in _SHARES:
+        return _NAMES[name], f"{100 * value:.3g} %", f"{sign} {100 * bound:.3g} %", _held(one)
     return _NAMES.get(name, str(name)), _number(value), f"{sign} {bound:g}", _held(one)
 
 
@@ -61,6 +72,11 @@ def _row(one: Mapping[str, Any]) -> Sequence[str]:
     command = ", ".join(f"{part:g}" for part in one["command"])
     measured = (_number(one.get(name)) for name in _MEASURED)
     return command, f"{one['falls']:d}/{one['episodes']:d}", *measured
+
+
+def _clip(one: Mapping[str, Any]) -> Sequence[str]:
+    reached = round(one["reached"] * one["episodes"])
+    return str(one["clip"]), f"{reached:d}/{one['episodes']:d}", *(f"{one[name]:.3f}" for name in _OF_CLIPS)
 
 
 def _number(value: Any) -> str:

@@ -1,5 +1,6 @@
 """How far a policy follows its reference: whole episodes from starts that are spread over all clips."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -50,10 +51,13 @@ def followed(
     *,
     seed: int,
     close: tuple[float, float] = (0.1, 0.15),
+    is_stopped: Callable[[], bool] = lambda: False,
 ) -> tuple[Followed, dict[str, Followed]]:
     """The results of one episode from each of these rows: of all, and by the name of each clip.
 
     close: up to which errors of the root, in m, and of the joints, in rad, an episode counts as close.
+
+    is_stopped: asked again and again; once it is true, the episodes end where they are.
 
     environment: of the engine `native`, whose metrics have the term `followed_reference`. policy: one that is
     deterministic.
@@ -65,6 +69,8 @@ def followed(
         nothing = {name: jnp.zeros(len(rows)) for name in ("steps", "reached", *_ERRORS)}
         running = (begin(keys, jnp.asarray(rows)), jnp.ones(len(rows)), nothing)
         for _ in range(0, int(frames.lengths.max()), _STEPS_PER_CALL):
+            if is_stopped():
+                break
             running = advance(policy.parameters, running)
         totals = {name: np.asarray(values, float) for name, values in running[2].items()}
     clip = np.searchsorted(frames.starts, rows, side="right") - 1

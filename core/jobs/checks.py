@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator
 from itertools import islice
 
-from core.algorithms.battery.spec import follows_velocity
+from core.algorithms.battery.spec import follows_clips, follows_velocity
 from core.algorithms.catalog import reported
 from core.algorithms.memory import shown
 from core.algorithms.spec import BaseSpec, check_resumption
@@ -174,10 +174,10 @@ def _check_battery(spec: JobSpec, job: ResolvedJob) -> None:
     if spec.battery is None:
         return
     detail = None
-    if not follows_velocity(job.options):
+    if not follows_velocity(job.options) and not follows_clips(job.options):
         detail = (
-            f"A battery tests how well a policy follows velocity commands, and {job.info.id} has none: leave "
-            "`battery` out, or give a task made of terms a `command`."
+            f"A battery tests how well a policy follows velocity commands or clips, and {job.info.id} has "
+            "neither: leave `battery` out, or give a task made of terms a `command` or a `reference`."
         )
     elif spec.kind == "rollout" and not isinstance(spec.policy, CheckpointPolicy):
         detail = "A battery tests a trained policy: take that of a job's checkpoint, or leave `battery` out."

@@ -289,7 +289,8 @@ class _Common(Strict):
         BeforeValidator(_default_if_true, json_schema_input_type=BatterySpec | bool | None),
     ] = Field(
         default=None,
-        description="Test the policy in the end, under eight velocity commands, in C MuJoCo; true: as usual.",
+        description="Test the policy in the end, under eight velocity commands or on the clips that it "
+        "follows, in C MuJoCo; true: as usual.",
     )
     resources: ResourcesSpec = ResourcesSpec()
     priority: Priority = "normal"

@@ -229,7 +229,10 @@ def refusal_of_metric(spec: JobSpec, metric: str) -> str | None:
 
 
 def _of_the_battery(spec: JobSpec) -> Sequence[str]:
-    return [] if spec.battery is None else metric_names(spec.battery.bounds)
+    if spec.battery is None:
+        return []
+    of_clips = bool(spec.environment.options.get("reference"))
+    return metric_names(spec.battery.bounds, of_clips=of_clips)
 
 
 @cache

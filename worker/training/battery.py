@@ -9,6 +9,7 @@ from functools import partial
 from statistics import fmean
 from typing import Any, cast
 
+from core.algorithms.battery.clips import ClipBattery
 from core.algorithms.battery.result import BatteryResult
 from core.algorithms.battery.run import Battery
 from core.algorithms.battery.spec import BatterySpec
@@ -36,7 +37,7 @@ class BatteryWriter:
     battery: BatterySpec
     built: BuiltEnvironment
     is_stopped: Callable[[], bool]
-    _compiled: Prepared[Battery] | None = None
+    _compiled: Prepared[Battery | ClipBattery] | None = None
 
     def prepare(self, policy: PolicyInTraining) -> None:
         """Begin to compile it, in a thread, for policies such as this one."""
@@ -87,10 +88,12 @@ class BatteryWriter:
         )
         return metrics_of(result)
 
-    def _battery(self, policy: TrainedPolicy) -> Battery:
-        return Battery(
+    def _battery(self, policy: TrainedPolicy) -> Battery | ClipBattery:
+        options = cast("TaskOptions", self.built.job.options)
+        kind = Battery if options.reference is None else ClipBattery
+        return kind(
             lambda options: cast("TaskEnv", self.built.made_on("native", options)),
-            cast("TaskOptions", self.built.job.options),
+            options,
             policy,
             self.battery,
         )
@@ -119,7 +122,7 @@ def metrics_of(result: BatteryResult) -> dict[str, float]:
 
 def _shown(facts: dict[str, Any]) -> dict[str, Any]:
     """What the page, the report and the terminal show."""
-    return {name: facts[name] for name in ("passed", "criteria", "commands", "spec", "took_s")}
+    return {name: facts[name] for name in ("passed", "criteria", "commands", "clips", "spec", "took_s")}
 
 
 def _as_json(document: dict[str, Any]) -> bytes:

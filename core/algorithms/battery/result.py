@@ -16,6 +16,9 @@ Quantity = Literal[
     "torso_rate",
     "yaw_rate",
     "leg_velocity",
+    "reached",
+    "root_error",
+    "joint_error",
 ]
 SMOOTHNESS: tuple[Quantity, ...] = (
     "action_change",
@@ -24,6 +27,8 @@ SMOOTHNESS: tuple[Quantity, ...] = (
     "yaw_rate",
     "leg_velocity",
 )
+# By what a policy that follows clips is judged.
+OF_CLIPS: tuple[Quantity, ...] = ("reached", "root_error", "joint_error")
 
 
 class CommandResult(Stored):
@@ -48,8 +53,23 @@ class CommandResult(Stored):
     leg_velocity: float | None = None
 
 
+class ClipResult(Stored):
+    """The episodes of one clip. reached: the share that came to its end. The errors are means over the steps
+    of all of them: where the root is, in m, how it is turned, in rad, the joints, in rad, and the bodies, in
+    m."""
+
+    clip: str
+    episodes: int
+    reached: float
+    root_error: float
+    root_turn_error: float
+    joint_error: float
+    body_error: float
+
+
 class Criterion(Stored):
-    """A quantity, its bound, and whether the policy holds it. `falls` is a share of all episodes."""
+    """A quantity, its bound, and whether the policy holds it. `falls` and `reached` are shares of all
+    episodes."""
 
     quantity: Quantity
     value: float | None
@@ -58,11 +78,15 @@ class Criterion(Stored):
 
 
 class BatteryResult(Stored):
-    """passed: whether every criterion is met. took_s: seconds that its episodes took. legs: their joints."""
+    """passed: whether every criterion is met. took_s: seconds that its episodes took. legs: their joints.
+
+    commands, clips: one of the two is empty.
+    """
 
     passed: bool
     criteria: list[Criterion]
     commands: list[CommandResult]
+    clips: list[ClipResult] = []
     spec: BatterySpec
     seed: int
     engine: str
@@ -90,8 +114,23 @@ def judged(
     return all(one.met for one in criteria), criteria
 
 
-def metric_names(bounds: Bounds) -> list[str]:
-    """The metrics of a job with a battery of these bounds."""
+def judged_by_clips(whole: ClipResult, bounds: Bounds) -> tuple[bool, list[Criterion]]:
+    """Whether the policy passes, and by what. whole: the episodes of all clips together."""
+    criteria = [
+        _criterion(name, getattr(whole, name), bound)
+        for name in OF_CLIPS
+        if (bound := getattr(bounds, name)) is not None
+    ]
+    return all(one.met for one in criteria), criteria
+
+
+def metric_names(bounds: Bounds, *, of_clips: bool) -> list[str]:
+    """The metrics of a job with a battery of these bounds. of_clips: its task has a reference."""
+    if of_clips:
+        return [
+            "battery/passed",
+            *(f"battery/{name}" for name in OF_CLIPS if getattr(bounds, name) is not None),
+        ]
     is_judged = {"falls": True, "linear_tracking": True, "angular_tracking": True}
     is_judged |= {name: getattr(bounds, name) is not None for name in SMOOTHNESS}
     return ["battery/passed", *(f"battery/{name}" for name, judged in is_judged.items() if judged)]
@@ -110,7 +149,7 @@ def overall(commands: Sequence[CommandResult]) -> dict[Quantity, float]:
 def _criterion(name: Quantity, value: float | None, bound: float) -> Criterion:
     if value is None:
         return Criterion(quantity=name, value=None, bound=bound, met=False)
-    is_least = name in ("linear_tracking", "angular_tracking")
+    is_least = name in ("linear_tracking", "angular_tracking", "reached")
     return Criterion(
         quantity=name, value=value, bound=bound, met=value >= bound if is_least else value <= bound
     )

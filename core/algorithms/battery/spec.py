@@ -1,4 +1,4 @@
-"""A battery: a test of a trained policy that follows velocity commands; no numerical code."""
+"""A battery: a test of a trained policy that follows velocity commands or clips; no numerical code."""
 
 from collections.abc import Sequence
 from typing import Annotated, cast
@@ -55,14 +55,30 @@ class Bounds(Strict):
     leg_velocity: Bound | None = Field(
         default=None, description="RMS of the legs' joints' velocities, in rad/s."
     )
+    reached: float = Field(
+        default=0.95,
+        ge=0,
+        le=1,
+        description="Of clips: at least this share of episodes comes to the end.",
+    )
+    root_error: Bound | None = Field(
+        default=0.1, description="Of clips: how far the root is from theirs, at most, in the mean, in m."
+    )
+    joint_error: Bound | None = Field(
+        default=0.2, description="Of clips: how far the joints are from theirs, at most, in the mean, in rad."
+    )
 
 
 class BatterySpec(Strict):
-    """Eight commands from several starts, in C MuJoCo with the model's own solver."""
+    """Eight commands from several starts, in C MuJoCo with the model's own solver; of a task that follows
+    clips, every clip from moments that are spread over it, each time to its end."""
 
-    starts: int = Field(default=32, ge=1, le=512, description="Episodes for each command.")
+    starts: int = Field(default=32, ge=1, le=512, description="Episodes for each command or clip.")
     seconds: float = Field(
-        default=8.0, ge=2, le=120, description="Length of an episode; the first 1.5 s are not measured."
+        default=8.0,
+        ge=2,
+        le=120,
+        description="Length of an episode under a command; the first 1.5 s are not measured.",
     )
     push: Push | None = Field(
         default=None, description="Pushes in every episode, in place of the task's own; null: none."
@@ -89,11 +105,17 @@ def follows_velocity(options: Strict) -> bool:
     return isinstance(options, TaskOptions) and isinstance(options.command, VelocityCommand)
 
 
+def follows_clips(options: Strict) -> bool:
+    """Whether the task of these options has a reference, whose clips are then the battery's cases."""
+    return isinstance(options, TaskOptions) and options.reference is not None
+
+
 def battery_options(options: TaskOptions, spec: BatterySpec) -> TaskOptions:
-    """The task as the battery runs it: each episode has one command, and only the battery's pushes."""
-    if options.command is None:
-        raise ValueError("The task has no command.")
+    """The task as the battery runs it: each episode has one command, if any, and only the battery's pushes.
+    Without a command it reports the usual metrics."""
     kept = [event for event in options.events if event.kind != "push"]
     pushes = [] if spec.push is None else [spec.push]
+    if options.command is None:
+        return options.model_copy(update={"events": [*kept, *pushes], "metrics": None})
     longer = options.command.model_copy(update={"every_s": 2 * spec.seconds, "heading": None})
     return options.model_copy(update={"command": longer, "events": [*kept, *pushes]})

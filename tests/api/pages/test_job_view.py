@@ -341,6 +341,24 @@ def test_a_battery_is_shown_with_its_verdict(tab: Tab, attempt: Attempt) -> None
 
 
 @pytest.mark.extra
+def test_a_battery_of_clips_is_shown_clip_by_clip(tab: Tab, attempt: Attempt) -> None:
+    row = {"clip": "carries a box", "episodes": 32, "reached": 0.75, "root_error": 0.081, "joint_error": 0.12}
+    reached = {"quantity": "reached", "value": 0.75, "bound": 0.95, "met": False}
+    of_clips = {"commands": [], "clips": [row], "spec": {"seconds": 8, "push": None}}
+    facts = {"passed": False, "criteria": [reached], **of_clips}
+    attempt.keep("battery.json", b"{}", role="battery", media_type="application/json", metadata=facts)
+    page = tab.open(f"#/jobs/{attempt.id}")
+    section = page.get_by_role("region", name="Battery", exact=True)
+    expect(section.get_by_role("listitem")).to_have_text(re.compile(r"✗ To the end: 75 %\s+at least 95 %"))
+    expect(section.get_by_role("row").nth(1)).to_have_text(
+        re.compile(r"carries a box\s*75 % of 32\s*0.081\s*0.120")
+    )
+    expect(section).to_contain_text("each clip to its end")
+    tab.picture("battery-clips")
+    assert tab.violations() == []
+
+
+@pytest.mark.extra
 def test_phases_costs_and_terms_are_there(stack: Stack, tab: Tab, attempt: Attempt) -> None:
     attempt.say("phase", name="compile", seconds=12.5)
     measure(

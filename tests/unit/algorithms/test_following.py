@@ -7,15 +7,19 @@ import jax
 import numpy as np
 import pytest
 
+from core.algorithms.battery.clips import ClipBattery
+from core.algorithms.battery.result import judged_by_clips
+from core.algorithms.battery.spec import BatterySpec
 from core.algorithms.following import followed, spread_over
-from core.algorithms.trained_policy import of_network
+from core.algorithms.trained_policy import Acting, TrainedPolicy
 from core.environments.rollout import Roller
 from core.environments.task import TaskEnv
+from gaitway.battery import shown_battery
 from tests.unit.environments.mjcf.probe import build
 from tests.unit.environments.mjcf.test_environment import NO_TORQUE
 from tests.unit.environments.mjcf.test_imitation import FILE, flight, follower
 
-RESTS = of_network(None, lambda parameters, observation, key: NO_TORQUE, 1)
+RESTS = TrainedPolicy(None, lambda environment: Acting(environment, lambda parameters, state, key: NO_TORQUE))
 
 
 def two_clips(folder: Path, **given: Any) -> TaskEnv:
@@ -61,3 +65,22 @@ def test_an_episode_that_came_to_its_clips_end_did_not_terminate(tmp_path: Path)
     assert 1 <= episode.num_steps <= 8
     assert not episode.terminated
     assert np.sum(episode.metrics["clip_followed"]) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_battery_judges_each_clip_from_moments_that_are_spread_over_it(tmp_path: Path) -> None:
+    environment = two_clips(tmp_path, termination=[])
+    spec = BatterySpec(starts=4)
+    battery = ClipBattery(lambda options: environment, environment._options, RESTS, spec)
+    result = battery.run(None, seed=0)
+    assert result is not None
+    assert result.passed
+    assert [(row.clip, row.episodes, row.reached) for row in result.clips] == [("a", 4, 1.0), ("b", 4, 1.0)]
+    assert [one.quantity for one in result.criteria] == ["reached", "root_error", "joint_error"]
+    shown = shown_battery(result.model_dump(mode="json"))
+    assert shown is not None
+    assert shown.verdict.startswith("Passed: each clip to its end")
+    assert shown.criteria[0] == ("to the end", "100 %", "≥ 95 %", "yes")
+    assert [row[:2] for row in shown.rows] == [("a", "4/4"), ("b", "4/4")]
+    whole = result.clips[0].model_copy(update={"reached": 0.9})
+    assert not judged_by_clips(whole, spec.bounds)[0]
+    assert battery.run(None, seed=0, is_stopped=lambda: True) is None

@@ -1,4 +1,4 @@
-/** The test of a job's policy in C MuJoCo under several commands (docs/battery.md). */
+/** The test of a job's policy in C MuJoCo under several commands, or on the clips that it follows (docs/battery.md). */
 
 import { count, value } from "../../lib/format.js";
 import { html } from "../../lib/html.js";
@@ -14,21 +14,45 @@ const NAMES = {
   torso_rate: "Torso, rad/s",
   yaw_rate: "Yaw, rad/s",
   leg_velocity: "Legs, rad/s",
+  reached: "To the end",
+  root_error: "Root, m",
+  joint_error: "Joints, rad",
 };
-const isLeast = (quantity) => quantity.endsWith("tracking");
+const isLeast = (quantity) => quantity.endsWith("tracking") || quantity === "reached";
+const isShare = (quantity) => quantity === "falls" || quantity === "reached";
 const shown = (number) => (typeof number === "number" ? number.toFixed(2) : "–");
 
 /** Nothing for a job without one; an imported job's facts may hold anything. */
 export function Battery({ job }) {
   const file = newest(job, "battery");
-  const { passed, criteria, commands, spec } = file?.metadata || {};
+  const { passed, criteria, commands, clips = [], spec } = file?.metadata || {};
   if (!Array.isArray(commands) || !Array.isArray(criteria)) return null;
   return html`<section class="card" aria-label="Battery"><h2>Battery: ${passed ? "passed" : "not passed"}</h2>
     <ul class="plain">${criteria.map(
-      (one) => html`<li key=${one.quantity}>${one.met ? "✓" : "✗"} ${NAMES[one.quantity] || one.quantity}: ${one.quantity === "falls" ? percent(one.value) : shown(one.value)}
-        <span class="facts"> ${isLeast(one.quantity) ? "at least" : "at most"} ${one.quantity === "falls" ? percent(one.bound) : value(one.bound)}</span></li>`,
+      (one) => html`<li key=${one.quantity}>${one.met ? "✓" : "✗"} ${NAMES[one.quantity] || one.quantity}: ${isShare(one.quantity) ? percent(one.value) : shown(one.value)}
+        <span class="facts"> ${isLeast(one.quantity) ? "at least" : "at most"} ${isShare(one.quantity) ? percent(one.bound) : value(one.bound)}</span></li>`,
     )}</ul>
-    <div class="table" tabindex="0" role="region" aria-label="Commands"><table>
+    ${Array.isArray(clips) && clips.length ? html`<${Clips} clips=${clips} />` : html`<${Commands} commands=${commands} />`}
+    <p class="facts">In C MuJoCo with the model's own solver, ${clips.length ? "each clip to its end" : `${value(spec?.seconds)} s each`}${spec?.push ? ", with pushes" : ""}. <a href=${file.href} download=${file.name}>All of it</a></p>
+  </section>`;
+}
+
+function Clips({ clips }) {
+  const errors = ["root_error", "joint_error"];
+  return html`<div class="table" tabindex="0" role="region" aria-label="Clips"><table>
+    <thead><tr><th>Clip</th><th class="number">${NAMES.reached}</th>${errors.map((name) => html`<th key=${name} class="number">${NAMES[name]}</th>`)}</tr></thead>
+    <tbody>${clips.map(
+      (row) => html`<tr key=${row.clip}>
+        <td>${row.clip}</td>
+        <td class="number">${percent(row.reached)} of ${count(row.episodes)}</td>
+        ${errors.map((name) => html`<td key=${name} class="number">${typeof row[name] === "number" ? row[name].toFixed(3) : "–"}</td>`)}
+      </tr>`,
+    )}</tbody>
+  </table></div>`;
+}
+
+function Commands({ commands }) {
+  return html`<div class="table" tabindex="0" role="region" aria-label="Commands"><table>
       <thead><tr><th>Forward, left, turn</th><th class="number">Falls</th><th class="number">Velocity</th><th class="number">Turning</th>
         ${SMOOTHNESS.map((name) => html`<th key=${name} class="number">${NAMES[name]}</th>`)}</tr></thead>
       <tbody>${commands.map(
@@ -38,9 +62,7 @@ export function Battery({ job }) {
           ${["linear_tracking", "angular_tracking", ...SMOOTHNESS].map((name) => html`<td key=${name} class="number">${shown(row[name])}</td>`)}
         </tr>`,
       )}</tbody>
-    </table></div>
-    <p class="facts">In C MuJoCo with the model's own solver, ${value(spec?.seconds)} s each${spec?.push ? ", with pushes" : ""}. <a href=${file.href} download=${file.name}>All of it</a></p>
-  </section>`;
+    </table></div>`;
 }
 
 const percent = (share) => (typeof share === "number" ? `${value(100 * share)} %` : "–");
