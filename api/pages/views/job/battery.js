@@ -25,15 +25,16 @@ const shown = (number) => (typeof number === "number" ? number.toFixed(2) : "–
 /** Nothing for a job without one; an imported job's facts may hold anything. */
 export function Battery({ job }) {
   const file = newest(job, "battery");
-  const { passed, criteria, commands, clips = [], spec } = file?.metadata || {};
+  const { passed, criteria, commands, clips, spec } = file?.metadata || {};
   if (!Array.isArray(commands) || !Array.isArray(criteria)) return null;
+  const isOfClips = Array.isArray(clips) && clips.length > 0;
   return html`<section class="card" aria-label="Battery"><h2>Battery: ${passed ? "passed" : "not passed"}</h2>
     <ul class="plain">${criteria.map(
       (one) => html`<li key=${one.quantity}>${one.met ? "✓" : "✗"} ${NAMES[one.quantity] || one.quantity}: ${isShare(one.quantity) ? percent(one.value) : shown(one.value)}
         <span class="facts"> ${isLeast(one.quantity) ? "at least" : "at most"} ${isShare(one.quantity) ? percent(one.bound) : value(one.bound)}</span></li>`,
     )}</ul>
-    ${Array.isArray(clips) && clips.length ? html`<${Clips} clips=${clips} />` : html`<${Commands} commands=${commands} />`}
-    <p class="facts">In C MuJoCo with the model's own solver, ${clips.length ? "each clip to its end" : `${value(spec?.seconds)} s each`}${spec?.push ? ", with pushes" : ""}. <a href=${file.href} download=${file.name}>All of it</a></p>
+    ${isOfClips ? html`<${Clips} clips=${clips} />` : html`<${Commands} commands=${commands} />`}
+    <p class="facts">In C MuJoCo with the model's own solver, ${isOfClips ? "each clip to its end" : `${value(spec?.seconds)} s each`}${spec?.push ? ", with pushes" : ""}. <a href=${file.href} download=${file.name}>All of it</a></p>
   </section>`;
 }
 
