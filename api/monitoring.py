@@ -246,7 +246,7 @@ def _gpus(numbers: RecordNumbers) -> Iterator[Metric]:
         "gaitway_cpu_slot_seconds", "Seconds of attempts on workers without a GPU.", labels=["project"]
     )
     num_busy, gpu, cpu = (
-        defaultdict[str, int](int),
+        defaultdict[str, float](float),
         defaultdict[str, float](float),
         defaultdict[str, float](float),
     )

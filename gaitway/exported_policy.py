@@ -102,7 +102,7 @@ def load(path: str | os.PathLike[str] | BinaryIO) -> Policy:
 
 
 def _drawn(mean: Array, deviation: Array, noise: np.random.Generator) -> Array:
-    drawn: Array = noise.standard_normal(mean.shape, np.float32)
+    drawn: Any = noise.standard_normal(mean.shape, np.float32)
     return mean + deviation * drawn
 
 

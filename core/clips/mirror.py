@@ -15,8 +15,8 @@ from core.errors import BadClips
 
 # What a real body's sides may differ by: of its size, and 1 - cos of an angle (3.6°).
 _APART, _TURNED = 0.01, 0.002
-_OTHER = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "l": "r", "L": "R"}
-_OTHER |= {other: side for side, other in _OTHER.items()}
+_SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
+_OTHER = {one: other for left, right in _SIDES for one, other in ((left, right), (right, left))}
 # A letter alone is a side only as a word of its own.
 _SIDE = re.compile(r"left|Left|LEFT|right|Right|RIGHT|(?<![A-Za-z0-9])[lLrR](?![A-Za-z0-9])")
 _ACROSS = np.array([1.0, -1.0, 1.0])  # a reflection in the world's plane y = 0
