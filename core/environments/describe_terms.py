@@ -114,6 +114,8 @@ def _field(name: str, field: FieldInfo) -> str:
 
 
 def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
     default = field.get_default(call_default_factory=True)
     if isinstance(default, BaseModel):
         return "see below"

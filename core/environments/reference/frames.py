@@ -1,7 +1,8 @@
 """From clips to frames: every quantity that a step compares, computed once, on the host, by C MuJoCo."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 
 import mujoco
@@ -19,13 +20,16 @@ from core.errors import BadClips, JobFailed
 from core.patterns import matching
 from core.reasons import Reason
 
+# Every compiled program holds the frames of its job.
+_MOST_BYTES = 256 * 10**6
+
 
 @dataclass(frozen=True)
 class Frames:
     """The frames of all clips, one clip after the other.
 
-    frames: rows [N, …]. names, weights, starts, lengths: of the clips; starts are rows, lengths counted in
-    frames, at least two each.
+    frames: rows [N, …]. names, weights, starts, lengths: of the clips; no two names are the same, starts are
+    rows, lengths counted in frames, at least two each.
     """
 
     frames: Frame
@@ -41,13 +45,15 @@ def frames_of(
     """The frames of clips, each with its weight, at the rate that they have. pose: positions [nq] of joints
     that a clip lacks.
 
-    Raises JobFailed("bad_model") where a clip has joints that the model lacks.
+    Raises JobFailed("bad_clips") where a clip has joints that the model lacks, and where the frames are more
+    than a program can hold.
     """
+    _check_size(sum(one.num_frames for one, _ in chosen), model, len(followed.bodies))
     parts = [_frames(one, model, followed, pose) for one, _ in chosen]
     lengths = np.array([len(part.qpos) for part in parts])
     return Frames(
         frames=Frame(*(np.concatenate(rows).astype(np.float32) for rows in zip(*parts, strict=True))),
-        names=[one.name for one, _ in chosen],
+        names=_distinct([one.name for one, _ in chosen]),
         weights=np.array([weight for _, weight in chosen]),
         starts=np.concatenate([[0], np.cumsum(lengths)[:-1]]),
         lengths=lengths,
@@ -60,7 +66,9 @@ def chosen_clips(
     """The clips of a job as it asks for them, with their weights. files: by the ids of the choices. rate: in
     frames per second.
 
-    Raises JobFailed("bad_model") where a file is missing or cannot be read, has no such clip, a clip is over
+    A clip that is mirrored or played at another speed is called so.
+
+    Raises JobFailed("bad_clips") where a file is missing or cannot be read, has no such clip, a clip is over
     before it begins, or it is to be mirrored and the body is not symmetric.
     """
     for choice in choices:
@@ -92,7 +100,32 @@ def _changed(clip: Clip, choice: ClipChoice, rate: float, model: mujoco.MjModel)
     clip = clips.resampled(clip, rate)
     if clip.num_frames < 2:
         raise _bad(f"The clip {clip.name!r} lasts less than a control step of {1 / rate:g} s.")
-    return clip
+    return replace(clip, name=_called(clip.name, choice))
+
+
+def _called(name: str, choice: ClipChoice) -> str:
+    mirror = " mirrored" if choice.mirror else ""
+    return name + mirror + ("" if choice.speed == 1.0 else f" x{choice.speed:g}")
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """The names, with a number after those that were there before."""
+    found = dict[str, None]()
+    for name in names:
+        candidates = chain([name], (f"{name} {number}" for number in count(2)))
+        found[next(one for one in candidates if one not in found)] = None
+    return list(found)
+
+
+def _check_size(num_frames: int, model: mujoco.MjModel, num_bodies: int) -> None:
+    of_a_body = 3 + 4 + 3 + 3  # Position, orientation, and two velocities.
+    size = num_frames * (model.nq + model.nv + num_bodies * of_a_body) * np.float32().itemsize
+    if size > _MOST_BYTES:
+        raise _bad(
+            f"The clips have {num_frames:,} frames at the rate of the control steps, which take "
+            f"{size / 1e6:,.0f} MB, and a job has room for {_MOST_BYTES / 1e6:,.0f} MB: choose fewer clips "
+            "or cut them."
+        )
 
 
 def _frames(clip: Clip, model: mujoco.MjModel, followed: Followed, pose: np.ndarray) -> Frame:
@@ -133,4 +166,4 @@ def _states(
 
 
 def _bad(detail: str) -> JobFailed:
-    return JobFailed(Reason.BAD_MODEL, detail)
+    return JobFailed(Reason.BAD_CLIPS, detail)

@@ -26,6 +26,7 @@ from core.environments.terms.vocabulary import AnyReward
 from core.errors import JobFailed, Rejected
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
+from core.reasons import Reason
 from tests.unit.environments.mjcf.probe import KEY, XML, options
 from tests.unit.environments.mjcf.test_check import PROBE, parsed
 from tests.unit.environments.mjcf.test_environment import NO_TORQUE
@@ -280,8 +281,29 @@ def test_a_mirrored_clip_goes_to_the_other_side(tmp_path: Path) -> None:
 def test_clips_that_do_not_fit_are_refused_with_the_reason(
     tmp_path: Path, clips: list[Clip], reference: dict[str, Any], words: str
 ) -> None:
-    with pytest.raises(JobFailed, match=words.replace("*", r"\*")):
+    with pytest.raises(JobFailed, match=words.replace("*", r"\*")) as failed:
         follower(tmp_path, clips, reference=reference)
+    assert failed.value.reason == Reason.BAD_CLIPS
+
+
+def test_more_frames_than_a_program_can_hold_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The probe has 8 positions and 7 velocities, and its two bodies 13 numbers each: 164 B a row.
+    monkeypatch.setattr("core.environments.reference.frames._MOST_BYTES", 164 * NUM_ROWS)
+    follower(tmp_path)
+    with pytest.raises(JobFailed, match=r"18 frames .* choose fewer clips or cut them") as failed:
+        follower(tmp_path, [flight(name="a"), flight(name="b")])
+    assert failed.value.reason == Reason.BAD_CLIPS
+
+
+def test_each_clip_has_a_name_of_its_own(tmp_path: Path) -> None:
+    changes = [{}, {"mirror": True}, {"speed": 2.0}, {"mirror": True, "speed": 0.5}, {"to_s": 0.06}]
+    chosen = [{"file": FILE, **change} for change in changes]
+    environment = follower(tmp_path, reference={"clips": chosen})
+    assert environment.playback is not None
+    named = ["flight", "flight mirrored", "flight x2", "flight mirrored x0.5", "flight 2"]
+    assert environment.playback.frames.names == named
 
 
 FOLLOWS: dict[str, Any] = {"reference": {"clips": [{"file": FILE}]}, "reward": [{"kind": "track_joints"}]}
