@@ -8,9 +8,8 @@ from core.documents import Strict
 from core.environments.options import NoiseScale, Range, Weight
 from core.environments.terms.imitating import (
     IMITATE,
-    IS_UNREAD,
-    NEEDS_CLIPS,
     OBSERVATION,
+    check_task,
     ends,
     imitating_reward,
 )
@@ -40,9 +39,18 @@ class HumanoidOptions(Strict):
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
 
     @model_validator(mode="after")
-    def _has_clips(self) -> Self:
-        if (self.task == IMITATE) != (self.reference is not None):
-            raise ValueError(NEEDS_CLIPS if self.reference is None else IS_UNREAD)
+    def _fits_its_task(self) -> Self:
+        check_task(
+            self,
+            self.task,
+            self.reference,
+            "forward_reward_weight",
+            "ctrl_cost_weight",
+            "healthy_reward",
+            "terminate_when_unhealthy",
+            "healthy_z_range",
+            "exclude_current_positions_from_observation",
+        )
         return self
 
 

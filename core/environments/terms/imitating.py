@@ -1,5 +1,7 @@
 """What bodies that imitate see and earn: those of the catalog, and users' own to begin with."""
 
+from pydantic import BaseModel
+
 from core.environments.terms.imitation import (
     ReferenceAhead,
     TrackBodyOrientations,
@@ -19,6 +21,7 @@ from core.environments.terms.locomotion import (
     ProjectedGravity,
 )
 from core.environments.terms.observations import PreviousAction
+from core.environments.terms.reference import Reference
 from core.environments.terms.rewards import ActionRate
 from core.environments.terms.terminations import FarFromReference
 from core.environments.terms.vocabulary import AnyObservation, AnyReward
@@ -42,6 +45,20 @@ NEEDS_CLIPS = (
 )
 
 IS_UNREAD = '`reference` is followed by the task imitate alone: give `task`: "imitate", or leave it out'
+
+
+def check_task(options: BaseModel, task: str, reference: Reference | None, *unread: str) -> None:
+    """Raises ValueError where the task imitate has no reference, another one has one, or the task imitate has
+    values for options that it does not read. unread: their names."""
+    if (task == IMITATE) != (reference is not None):
+        raise ValueError(NEEDS_CLIPS if reference is None else IS_UNREAD)
+    if task != IMITATE:
+        return
+    fields = type(options).model_fields
+    if given := [name for name in unread if getattr(options, name) != fields[name].default]:
+        named, verb = ", ".join(f"`{name}`" for name in given), "is" if len(given) == 1 else "are"
+        it = "it" if len(given) == 1 else "them"
+        raise ValueError(f"{named} {verb} not read by the task {IMITATE}: leave {it} out")
 
 
 def ends(size: float = 1.0) -> FarFromReference:

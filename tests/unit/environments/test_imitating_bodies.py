@@ -69,6 +69,27 @@ def test_a_reference_that_nothing_follows_is_refused(body: str) -> None:
         catalog.resolve(body, {**FOLLOWS, "reference": {**FOLLOWS["reference"], "anchor": "torsoo"}})
 
 
+@pytest.mark.parametrize(
+    ("body", "unread"),
+    [
+        ("humanoid", {"healthy_z_range": [0.9, 2.0]}),
+        ("humanoid", {"healthy_reward": 1.0}),
+        ("rodent", {"healthy_z_range": [0.1, 0.3]}),
+        ("rodent", {"reset_noise_scale": 0.02}),
+        ("rodent", {"exclude_current_positions_from_observation": True}),
+    ],
+)
+def test_options_that_imitation_does_not_read_are_refused(body: str, unread: dict[str, Any]) -> None:
+    with pytest.raises(Rejected, match=f"`{next(iter(unread))}` is not read by the task imitate: leave it"):
+        catalog.resolve(body, {**FOLLOWS, **unread})
+
+
+def test_options_that_say_their_defaults_go_with_imitation() -> None:
+    catalog.resolve("rodent", {**FOLLOWS, "healthy_z_range": [0.03, 0.3], "healthy_reward": 0.5})
+    # The start of the humanoid that imitates has this noise.
+    catalog.resolve("humanoid", {**FOLLOWS, "reset_noise_scale": 0.02})
+
+
 @pytest.mark.parametrize("body", BODIES)
 def test_starts_that_follow_from_failures_need_fresh_starts(body: str) -> None:
     settings = {"kind": "ppo", "reset_pool_size": 0}

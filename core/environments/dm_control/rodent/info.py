@@ -17,9 +17,8 @@ from core.environments.options import (
 from core.environments.terms.actions import ControlAction
 from core.environments.terms.imitating import (
     IMITATE,
-    IS_UNREAD,
-    NEEDS_CLIPS,
     OBSERVATION,
+    check_task,
     ends,
     imitating_reward,
 )
@@ -73,14 +72,24 @@ class RodentOptions(RunnerOptions):
     ls_iterations: SolverIterations = Field(None, ge=4, le=100, description=LINE_SEARCH_ITERATIONS)
 
     @model_validator(mode="after")
-    def _has_clips(self) -> Self:
-        if (self.task == IMITATE) != (self.reference is not None):
-            raise ValueError(NEEDS_CLIPS if self.reference is None else IS_UNREAD)
+    def _fits_its_task(self) -> Self:
+        check_task(
+            self,
+            self.task,
+            self.reference,
+            "forward_reward_weight",
+            "ctrl_cost_weight",
+            "healthy_reward",
+            "terminate_when_unhealthy",
+            "healthy_z_range",
+            "reset_noise_scale",
+            "exclude_current_positions_from_observation",
+        )
         return self
 
     @model_validator(mode="after")
     def _stands(self) -> Self:
-        terminates = self.terminate_when_unhealthy
+        terminates = self.terminate_when_unhealthy and self.task != IMITATE
         check_survives_its_start(STANDING_HEIGHT_M, self.healthy_z_range, terminates=terminates)
         return self
 
