@@ -75,7 +75,7 @@ class IntentionNetwork(Strict):
             return self
         size = sum(part.size for part in parts)
         if self.encoder_sees is None and self.places is not None:
-            return self._checked(self.places, size)
+            return self.checked(self.places, size)
         names = list(dict.fromkeys(part.name for part in parts))
         patterns = self.encoder_sees or [REFERENCE]
         for number, pattern in enumerate(patterns):
@@ -94,9 +94,9 @@ class IntentionNetwork(Strict):
                 "observation: leave `places` out.",
                 "places",
             )
-        return self.model_copy(update={"encoder_sees": patterns, "places": found})._checked(found, size)
+        return self.model_copy(update={"encoder_sees": patterns, "places": found}).checked(found, size)
 
-    def _checked(self, places: Sequence[tuple[int, int]], size: int) -> Self:
+    def checked(self, places: Sequence[tuple[int, int]], size: int) -> Self:
         """Itself. Raises Rejected where the places are not those of a part of an observation of this size."""
         ends = [0, *(start + length for start, length in sorted(places))]
         overlap = any(start < end for (start, _), end in zip(sorted(places), ends, strict=False))

@@ -29,7 +29,7 @@ def make_networks(
     """The policy and value networks. normalize: whether they take raw observations, or normalised ones.
 
     Raises ValueError if the observations have names, and the one that the settings name is missing; Rejected
-    where the settings have an encoder and do not say what it sees.
+    where the settings have an encoder and do not say what it sees, or what is no part of the observation.
     """
     preprocess: Any = identity_observation_preprocessor
     if normalize:
@@ -65,6 +65,7 @@ def _intention(
             "This environment does not name the parts of its observation: say by `places` what is encoded."
         )
         raise Rejected(detail, [Problem("/algorithm/network/places", detail)])
+    network.checked(network.places, observation_size)
     seen = np.concatenate([start + np.arange(size) for start, size in network.places])
     activation = cast("Any", brax_networks.ACTIVATION[settings.activation])
     return IntentionPolicy(

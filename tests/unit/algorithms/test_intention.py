@@ -179,6 +179,19 @@ def test_an_environment_without_names_needs_places() -> None:
         Learner(probes.intention(), settings(places=None)).init(jnp.uint32(0))
 
 
+@pytest.mark.parametrize(
+    ("places", "sentence"),
+    [
+        ([[2, 3]], "go beyond the 4 numbers"),
+        ([[0, 2], [1, 2]], "overlap"),
+        ([[0, 4]], "the decoder nothing of the body"),
+    ],
+)
+def test_places_are_checked_where_the_environment_names_no_parts(places: Any, sentence: str) -> None:
+    with pytest.raises(Rejected, match=sentence):
+        make_networks(4, 2, settings(places=places))
+
+
 def test_only_the_weights_may_change_in_a_resumed_run() -> None:
     check_resumption(settings(kl_weight=0.5, kl_ramp_steps=7), settings())
     for changed in ({"latent": 4}, {"places": [[0, 2]]}, {"decoder": [7]}):
