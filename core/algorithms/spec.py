@@ -77,16 +77,22 @@ class BaseSpec(Strict):
             raise Rejected(detail, [Problem("/seeds", detail)])
 
 
+def changed_beside_checkpoint(wanted: BaseSpec, made_with: BaseSpec) -> list[str]:
+    """The names of what differs, and may not in a run that resumes from a checkpoint: fields, and what
+    follows from them."""
+    names = ("kind",) if type(wanted) is not type(made_with) else wanted.fixed_by_checkpoint
+    return [name for name in names if getattr(made_with, name) != getattr(wanted, name)]
+
+
 def check_resumption(wanted: BaseSpec, made_with: BaseSpec) -> None:
     """Raises Rejected if a run under `wanted` cannot resume from a checkpoint of one under `made_with`."""
-    names = ("kind",) if type(wanted) is not type(made_with) else wanted.fixed_by_checkpoint
     problems = [
         Problem(
             f"/algorithm/{name}" if name in type(wanted).model_fields else "/algorithm",
-            f"The checkpoint was made with {name} = {had}; this job has {has}.",
+            f"The checkpoint was made with {name} = {getattr(made_with, name)}; this job has "
+            f"{getattr(wanted, name)}.",
         )
-        for name in names
-        if (had := getattr(made_with, name)) != (has := getattr(wanted, name))
+        for name in changed_beside_checkpoint(wanted, made_with)
     ]
     if problems:
         raise Rejected(

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from pydantic import JsonValue, ValidationError
 
 from core.algorithms.catalog import ALGORITHMS
-from core.algorithms.spec import BaseSpec, check_resumption
+from core.algorithms.spec import BaseSpec, changed_beside_checkpoint
 from core.environments.info import Device
 from core.errors import Problem, Rejected
 from core.jobs.resolved import DEVICES, ResolvedJob
@@ -229,11 +229,8 @@ def _why_fixed(name: str, settings: list[BaseSpec]) -> str | None:
     for one in settings:
         if field in one.read_at_start:
             return f"`{name}` is read only at a run's beginning, so `pbt` would change nothing with it."
-        try:
-            check_resumption(one, settings[0])
-        except Rejected as error:
-            fixed = error.problems[0].pointer.rpartition("/")[2]
-            because = "" if fixed == field else f", because `{fixed}` follows from it"
+        if fixed := changed_beside_checkpoint(one, settings[0]):
+            because = "" if fixed[0] == field else f", because `{fixed[0]}` follows from it"
             return f"`{name}` cannot change in a run that resumes from a checkpoint{because}."
     return None
 

@@ -86,7 +86,7 @@ def _print(found: Sequence[QuotaView]) -> None:
         table.add_column(column, overflow="fold")
     for column in ("WEIGHT", "RUNNING", "QUEUED", "GPU HOURS", "BYTES"):
         table.add_column(column, justify="right")
-    table.add_column("HIGHEST PRIORITY")
+    table.add_column("PRIORITY")
     for one in found:
         table.add_row(*map(Text, _row(one)))
     Console().print(table)

@@ -39,6 +39,7 @@ JOB_FIELDS = frozenset(
             "seeds",
             "video",
             "battery",
+            "recording",
             "notify",
         ),
         *(

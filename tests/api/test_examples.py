@@ -13,8 +13,8 @@ from tests.api.conftest import Stack
 from tests.api.test_models import DESCRIPTION, worker
 
 FOLDER = Path(__file__).parents[2] / "examples"
-# One drives a robot, and sends no job.
-EXAMPLES = sorted(set(FOLDER.glob("*.py")) - {FOLDER / "deploy.py"})
+# One drives a robot and one draws a recording: they send no job.
+EXAMPLES = sorted(set(FOLDER.glob("*.py")) - {FOLDER / "deploy.py", FOLDER / "plot_recording.py"})
 EXERCISES = sorted(FOLDER.glob("exercises/*.json"))
 # One is of a model that lies beside it.
 QUADRUPED = FOLDER / "quadruped.json"
