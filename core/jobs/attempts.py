@@ -53,12 +53,8 @@ class Claim:
         return self._change(change)
 
     def note_peak(self, num_bytes: int) -> Job:
-        """Record the most that the attempt has had of a GPU's memory, also for trainings like it."""
-        job = self._change(lambda job: job.noted(peak_bytes=num_bytes))
-        if isinstance(job.spec, TrainSpec):
-            with suppress(Rejected):  # A version with other rules accepted it.
-                self.store.keep_peak(alike(job.spec), num_bytes)
-        return job
+        """Record the most that the attempt has had of a GPU's memory so far."""
+        return self._change(lambda job: job.noted(peak_bytes=num_bytes))
 
     def publish(self, artifacts: tuple[Artifact, ...], keep_checkpoints: int) -> tuple[Job, list[str]]:
         """Record these files, already in the object store; drop all but the newest `keep_checkpoints`.
@@ -84,14 +80,27 @@ class Claim:
         return self._change(lambda job: job.without_artifacts([artifact]))
 
     def end(self, status: JobStatus, reason: Reason, message: str) -> Job:
-        """End the job with a final status."""
+        """End the job with a final status; trainings like it then know what it took of a GPU's memory."""
         now = self.store.now()
-        return self._leave(lambda job: job.ended(status, reason, message, now), message)
+        job = self._leave(lambda job: job.ended(status, reason, message, now), message)
+        if isinstance(job.spec, TrainSpec):
+            with suppress(Rejected):  # A version with other rules accepted it.
+                self._learn(job, job.spec)
+        return job
 
     def give_back(self, reason: Reason, message: str) -> Job:
         """Queue the job for another attempt; if a cancel has come meanwhile, cancel it instead."""
         now = self.store.now()
         return self._leave(lambda job: given_back(job, reason, message, now), message)
+
+    def _learn(self, job: Job, spec: TrainSpec) -> None:
+        """Only a whole training has had all that it needs. After too small a part, the next is measured."""
+        last = job.attempts[-1]
+        if job.status == JobStatus.SUCCEEDED and last.peak_bytes is not None:
+            self.store.keep_peak(alike(spec), last.peak_bytes)
+        is_too_small = last.reason == Reason.OUT_OF_MEMORY and last.gpu_part is not None
+        if is_too_small and spec.resources.gpu_memory_gib is None:
+            self.store.forget_peak(alike(spec))
 
     def _leave(self, change: Callable[[Job], Job], message: str) -> Job:
         try:

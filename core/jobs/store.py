@@ -397,6 +397,10 @@ class JobStore(NewsStore, QuotaStore, RetentionStore, Uploads, UsageStore, Worke
         """Remember the most that a training has had of a GPU's memory, for those like it."""
         ...
 
+    def forget_peak(self, alike: str) -> None:
+        """Forget what `keep_peak` was told of such trainings: it was not enough."""
+        ...
+
     def undispatched(self) -> Sequence[Dispatch]:
         """Dispatches that were committed, may begin, and were not handed over to RQ yet; oldest first."""
         ...

@@ -107,8 +107,8 @@ def test_a_pool_gives_a_job_its_gpus_and_says_which(job_store: PostgresJobStore)
 
 
 def test_a_job_that_shares_a_gpu_gets_what_was_measured_of_jobs_like_it(job_store: PostgresJobStore) -> None:
-    """The first has a GPU of 16 GiB alone and takes 4 GiB: the next has 5 GiB, and one that asks for 2 GiB
-    has these."""
+    """The first has a GPU of 16 GiB alone and takes 4 GiB, as is known when it has succeeded: the next has
+    5 GiB, and one that asks for 2 GiB has these. When 5 GiB were too few, the fourth has a GPU alone."""
     workers = [
         WorkerInfo.model_validate(
             {
@@ -129,24 +129,31 @@ def test_a_job_that_shares_a_gpu_gets_what_was_measured_of_jobs_like_it(job_stor
     ]
     asked = {"share_gpu": True}
     first, second = add(job_store, resources=asked), add(job_store, resources=asked)
-    third = add(job_store, resources={**asked, "gpu_memory_gib": 2})
     offer = Offer("host/gpu:0", 0, frozenset({0}), workers)
     alone = take(job_store, "gpu:0", offer=offer)
     assert alone is not None
     assert (alone.job_id, alone.device, alone.gpu_part) == (first.id, "gpu:0", None)
-    for num_bytes in (4 * GIB, 3 * GIB):  # The largest counts.
+    joins = replace(offer, free=frozenset(), parts=[5 / 16])
+    for num_bytes in (GIB, 4 * GIB):  # The first evaluation comes after the first update.
         assert alone.note_peak(num_bytes).attempts[-1].peak_bytes == num_bytes
+        with pytest.raises(NothingFits, match=second.id):
+            take(job_store, "gpu:0", offer=joins)
     alone.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    third = add(job_store, resources={**asked, "gpu_memory_gib": 2})
     shared = take(job_store, "gpu:0", offer=offer)
     assert shared is not None
     assert (shared.job_id, shared.device, shared.gpu_part) == (second.id, "gpu:0", 5 / 16)
-    joins = replace(offer, free=frozenset(), parts=[5 / 16])
     beside = take(job_store, "gpu:0", offer=joins)
     assert beside is not None
     assert (beside.job_id, beside.gpu_part) == (third.id, 2 / 16)
     started = {one.id: one.part for one in job_store.turn_facts().started}
     assert started == {second.id: 5 / 16, third.id: 2 / 16}
     assert [one.num_gpus for one in job_store.numbers().running] == pytest.approx([5 / 16, 2 / 16])
+    fourth = add(job_store, resources=asked)
+    shared.end(JobStatus.FAILED, Reason.OUT_OF_MEMORY, "")
+    measured = take(job_store, "gpu:0", offer=offer)
+    assert measured is not None
+    assert (measured.job_id, measured.gpu_part) == (fourth.id, None)
 
 
 def test_users_take_turns_and_what_they_used_is_remembered(

@@ -20,6 +20,10 @@ class PeakQueries(Session):
         with self._statements() as connection:
             connection.execute(write.on_conflict_do_update(index_elements=["alike"], set_=written))
 
+    def forget_peak(self, alike: str) -> None:
+        with self._statements() as connection:
+            connection.execute(delete(peaks).where(peaks.c.alike == alike))
+
 
 def forget_old_peaks(connection: Connection) -> None:
     connection.execute(delete(peaks).where(peaks.c.measured_at < NOW - _FORGOTTEN))

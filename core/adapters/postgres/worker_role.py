@@ -29,7 +29,7 @@ RIGHTS = {
     "pulse": "SELECT",
     "news": "INSERT",
     "usage": "SELECT, INSERT, UPDATE",
-    "peaks": "SELECT, INSERT, UPDATE",
+    "peaks": _ALL,
     "shares": "SELECT, INSERT, UPDATE",
     "quotas": "SELECT",
 }
