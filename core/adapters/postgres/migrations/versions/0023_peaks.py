@@ -8,10 +8,11 @@ down_revision = "0022"
 
 
 def upgrade() -> None:
-    op.add_column("attempts", sa.Column("peak_bytes", sa.BigInteger))
-    op.add_column("attempts", sa.Column("gpu_part", sa.Double))
+    # Jobs before attempts, as whoever saves one locks them; otherwise each could wait for the other.
     op.add_column("jobs", sa.Column("gpu_bytes", sa.BigInteger))
     op.add_column("jobs", sa.Column("alike", sa.Text))
+    op.add_column("attempts", sa.Column("peak_bytes", sa.BigInteger))
+    op.add_column("attempts", sa.Column("gpu_part", sa.Double))
     op.create_table(
         "peaks",
         sa.Column("alike", sa.Text, primary_key=True),
