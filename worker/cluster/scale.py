@@ -138,6 +138,11 @@ def _workers(seen: Seen, alive: Mapping[str, Allocation]) -> tuple[Counter[SlotK
     idle, heard, shared = Counter[SlotKind](), set[str](), Counter[tuple[str, str]]()
     running = {one.id for one in alive.values() if one.state == "running"}
     known = {one.id for one in seen.allocations}
+    used = {
+        (worker.host, worker.device)
+        for worker, silent_s in seen.workers
+        if worker.pool is not None and (worker.job or worker.jobs) and silent_s <= _SILENT_S
+    }
     for worker, silent_s in seen.workers:
         own = (worker.allocation or {}).get("id")
         if silent_s > _SILENT_S or (own in known and own not in running):
@@ -149,7 +154,8 @@ def _workers(seen: Seen, alive: Mapping[str, Allocation]) -> tuple[Counter[SlotK
         if worker.seat > 0:
             continue  # Its GPU is counted by the worker of the first seat.
         if worker.pool is not None:
-            shared[worker.host, worker.pool] += 1
+            if (worker.host, worker.device) not in used:  # Not beside a job on another seat.
+                shared[worker.host, worker.pool] += 1
         else:
             idle[_kind_of(worker.queues)] += 1
     return idle + _of_pools(shared.values(), seen.wanted), heard

@@ -71,6 +71,17 @@ def test_the_free_gpus_of_a_pool_are_slots_for_jobs_of_any_size() -> None:
     assert first(seen(wanted=[wants(FOUR, 1), wants(GPU, 3)], workers=members)).starts == {GPU: 1}
 
 
+def test_a_gpu_with_a_job_on_either_seat_is_no_slot() -> None:
+    def seats(*jobs: str | None) -> list[tuple[WorkerInfo, float]]:
+        return [worker("gpu:0", job=job, pool="gpu:0", seats=2, seat=seat) for seat, job in enumerate(jobs)]
+
+    for jobs in ((None, "a"), ("a", None)):
+        assert first(seen(wanted=[wants(GPU, 1)], workers=seats(*jobs))).starts == {GPU: 1}
+    assert first(seen(wanted=[wants(GPU, 1)], workers=seats(None, None))).starts == {}
+    gone = [(facts, 60.0 if facts.seat else 1.0) for facts, _ in seats(None, "a")]
+    assert first(seen(wanted=[wants(GPU, 1)], workers=gone)).starts == {}
+
+
 def test_each_queued_job_gets_an_allocation_up_to_the_limit_the_oldest_first() -> None:
     look = seen(wanted=[wants(CPU, 3, age_s=1), wants(FOUR, 2, age_s=60)])
     assert first(look).starts == {FOUR: 2, CPU: 2}
