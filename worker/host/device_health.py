@@ -160,6 +160,8 @@ class DeviceHealth:
         self._test_at = 0.0
         self._test: DeviceTest | None = None
         self._held = ExitStack()
+        if command is not None:  # What an earlier worker found is not known of this device now.
+            self._forget_passed()
 
     def is_fit(self) -> bool:
         """Whether the worker may take a job. Call it repeatedly: each call does a little and none waits."""
@@ -213,9 +215,12 @@ class DeviceHealth:
         pause_s = self._pauses_s[min(self._num_failures, len(self._pauses_s) - 1)]
         self._num_failures += 1
         self.state, self.problem = "device_failed", problem
-        for passed in self._passed:
-            passed.unlink(missing_ok=True)
+        self._forget_passed()
         with suppress(OSError):  # Other workers of its pool see by it that it does not work.
             set_aside(self._data_dir, self._slot_names, problem)
         self._test_at = time.monotonic() + pause_s
         log.error("device_set_aside", device=self._device, detail=problem, tested_again_in_s=pause_s)
+
+    def _forget_passed(self) -> None:
+        for passed in self._passed:
+            passed.unlink(missing_ok=True)

@@ -156,6 +156,9 @@ def test_a_further_seat_of_a_gpu_waits_for_the_test_of_the_first(
     assert not health.is_fit()
     until(health.is_fit)
     assert seat.is_fit()
+    DeviceHealth("gpu:0", tmp_path, ("gpu-nvidia0",), ("true",))  # The worker has started again.
+    assert not seat.is_fit()
+    assert seat.state == "testing"
 
 
 def test_nobody_else_uses_the_device_meanwhile(tmp_path: Path) -> None:
