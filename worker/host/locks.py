@@ -34,9 +34,17 @@ def take_lock(path: Path, *, shared: bool = False) -> int | None:
     return None
 
 
-def share_lock(descriptor: int) -> None:
-    """Let others share a lock that nobody else holds. Who took it meanwhile, to look at it, is waited for."""
+def share_lock(path: Path, descriptor: int) -> int:
+    """Let others share a lock that nobody else holds; returns its descriptor, which may be a new one.
+
+    Who takes it in between, to look at it, is waited for; and may have removed the file.
+    """
     fcntl.flock(descriptor, fcntl.LOCK_SH)
+    with suppress(FileNotFoundError):
+        if os.path.samestat(os.fstat(descriptor), path.stat()):
+            return descriptor
+    os.close(descriptor)
+    return _wait_for(path, float("inf"), lambda: False, shared=True)
 
 
 def remove_lock(path: Path, descriptor: int) -> None:
@@ -116,8 +124,8 @@ def slot(path: Path, timeout_s: float, called_off: Callable[[], bool] = lambda: 
         remove_free_locks(path.parent)
 
 
-def _wait_for(path: Path, deadline: float, called_off: Callable[[], bool]) -> int:
-    while (descriptor := take_lock(path)) is None:
+def _wait_for(path: Path, deadline: float, called_off: Callable[[], bool], *, shared: bool = False) -> int:
+    while (descriptor := take_lock(path, shared=shared)) is None:
         if time.monotonic() > deadline:
             raise SlotTaken(f"Another process still uses the device; it holds {path}.")
         pause(0.1, called_off)  # flock has no timeout.

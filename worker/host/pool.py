@@ -231,7 +231,7 @@ class Turn:
         if self._joined is None:
             gpu = self._held.pop(self._pool.own)
             os.truncate(gpu, 0)
-            share_lock(gpu)
+            gpu = share_lock(self._pool.lock(self._pool.own), gpu)
             seat = _wait_for_seat(self._pool.seat_lock(self._pool.seat))
         else:
             gpu, seat, self._joined = self._joined.gpu, self._joined.seat, None

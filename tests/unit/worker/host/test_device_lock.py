@@ -10,7 +10,7 @@ import pytest
 
 from core.errors import Misconfigured
 from core.retry import CalledOff
-from worker.host.locks import SlotTaken, slot, slot_names, slots
+from worker.host.locks import SlotTaken, is_held, share_lock, slot, slot_names, slots, take_lock
 from worker.stopping import Draining
 
 
@@ -21,6 +21,20 @@ def test_a_slot_in_use_is_not_given_out(tmp_path: Path) -> None:
         slot(tmp_path / "gpu-0.lock", 0),
     ):
         pass
+
+
+def test_a_lock_that_becomes_shared_holds_also_when_somebody_has_removed_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "gpu-0.lock"
+    alone = take_lock(path)
+    assert alone is not None
+    path.unlink()  # By who looked at it between the two locks.
+    shared = share_lock(path, alone)
+    assert is_held(path)
+    other = take_lock(path, shared=True)
+    assert other is not None
+    os.close(other)
+    os.close(shared)
+    assert not is_held(path)
 
 
 def test_who_waits_for_a_slot_hears_that_it_is_called_off(tmp_path: Path) -> None:
