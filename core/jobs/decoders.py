@@ -10,6 +10,7 @@ from typing import Any, cast
 from core.algorithms.catalog import reported
 from core.algorithms.ppo.network_spec import IntentionNetwork
 from core.algorithms.ppo.spec import PPOSpec
+from core.environments.info import POLICY_GROUP
 from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.terms.actions import ActionTerm, DecoderAction
@@ -55,6 +56,13 @@ def with_decoder(spec: JobSpec, store: JobStore, readable: Collection[str] | Non
     if decoder_file(spec.environment, source) is None:
         raise _refusal(f"Job {source.id} has no exported policy of this kind any more.", "which")
     _check_same_body(spec.environment, options, source, had)
+    if "reference" in had.action.needed and options.reference is None:
+        raise _refusal(
+            f'Job {source.id} was trained with `about`: "reference", so its action is about where a clip has '
+            'the joints, and this task has no `reference`. With "pose" a training makes a decoder for other '
+            "tasks.",
+            "job",
+        )
     model = _model(spec.environment, options, store)
     sees = [term.model_dump(mode="json") for term in _seen_by_decoder(had, network, model)]
     _check_sees(sees, options, action.job)
@@ -111,6 +119,12 @@ def _network_of(source: Job) -> IntentionNetwork:
     if settings.action_repeat != 1:
         raise _refusal(
             f"Job {source.id} holds an action for {settings.action_repeat} steps; a decoder acts in each.",
+            "job",
+        )
+    if settings.policy_obs_key != POLICY_GROUP:
+        raise _refusal(
+            f"The policy of job {source.id} saw {settings.policy_obs_key!r}, and a decoder sees "
+            f"{POLICY_GROUP!r}, the observation that a policy has in every task.",
             "job",
         )
     return settings.network

@@ -24,12 +24,19 @@ POLICY = b"arrays"
 BODY: list[Any] = [{"kind": "joint_positions"}, {"kind": "joint_velocities"}, {"kind": "previous_action"}]
 NETWORK: dict[str, Any] = {"kind": "intention", "latent": 7, "encoder_sees": ["command"]}
 OPTIONS: dict[str, Any] = {"observation": [{"kind": "command"}, *BODY]}
+ABOUT_A_CLIP: dict[str, Any] = {
+    **OPTIONS,
+    "reference": {"clips": [{"file": "sha256:" + "1" * 64}]},
+    "reward": [{"kind": "track_joints"}, {"kind": "track_linear_velocity"}],
+    "action": {"kind": "joint_position", "about": "reference"},
+}
 
 
 def trained(store: PostgresJobStore, at_s: int = 0, **changes: Any) -> Job:
     """A job of go1 whose decoder sees all but the command, and which has ended as `changes` say."""
     said = {"environment": {"id": "go1", "options": OPTIONS}, "network": NETWORK, "kept": True} | changes
     algorithm = {"kind": "ppo", **({"network": said["network"]} if said["network"] else {})}
+    algorithm |= said.get("algorithm", {})
     job = held(store, queued_job(at_s, environment=said["environment"], algorithm=algorithm))
     info, _ = catalog.resolve(job.spec.environment.id, job.spec.environment.options)
     spec: Any = job.spec
@@ -92,6 +99,14 @@ def test_the_job_is_kept_until_those_that_need_its_decoder_have_ended(
     ("changes", "sentence"),
     [
         ({"network": None}, "has no decoder"),
+        (
+            {
+                "algorithm": {"policy_obs_key": "privileged_state"},
+                "environment": {"id": "go1", "options": {**OPTIONS, "critic": OPTIONS["observation"]}},
+            },
+            "saw 'privileged_state', and a decoder sees 'state'",
+        ),
+        ({"environment": {"id": "go1", "options": ABOUT_A_CLIP}}, 'was trained with `about`: "reference"'),
         ({"reason": Reason.TIMEOUT}, "a decoder is that of a job that has succeeded"),
         ({"kept": False}, "has no exported policy"),
         ({"environment": {"id": "g1", "options": OPTIONS}}, "trained 'g1', and this task has 'go1'"),
@@ -106,7 +121,7 @@ def test_the_job_is_kept_until_those_that_need_its_decoder_have_ended(
             "sees what the observation of this task lacks; add it as it is there: .*qvel",
         ),
     ],
-    ids=["plain", "failed", "gone", "another-body", "another-step", "unseen"],
+    ids=["plain", "privileged", "about-a-clip", "failed", "gone", "another-body", "another-step", "unseen"],
 )
 def test_a_job_whose_decoder_does_not_fit_is_refused(
     job_store: PostgresJobStore, changes: dict[str, Any], sentence: str
