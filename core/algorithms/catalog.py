@@ -19,7 +19,7 @@ from core.algorithms.sac import spec as sac
 from core.algorithms.sac import tuned as sac_tuned
 from core.algorithms.spec import BaseSpec, check_critic
 from core.environments.info import Device, EnvironmentInfo
-from core.errors import Rejected
+from core.errors import Problem, Rejected
 
 DEFAULT_ALGORITHM = "ppo"  # A job that names no algorithm gets this one.
 
@@ -160,11 +160,24 @@ def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnyS
     """
     values = tuned(spec.algorithm(), environment, device)
     settings = type(spec).model_validate({**values, **spec.model_dump(exclude_unset=True)})
+    _check_read(settings, values)
     settings = settings.of_environment(environment)
     refusal = check_critic(settings, environment)
     if refusal := refusal or ALGORITHMS[spec.algorithm()].refusal(settings, environment, device):
         raise refusal
     return settings
+
+
+def _check_read(settings: BaseSpec, values: Mapping[str, Any]) -> None:
+    """Raises Rejected where a job gives a setting that is not read. values: those that are tuned."""
+    fields = type(settings).model_fields
+    problems = [
+        Problem(f"/algorithm/{name}", sentence)
+        for name, sentence in settings.unread.items()
+        if getattr(settings, name) != values.get(name, fields[name].default)
+    ]
+    if problems:
+        raise Rejected(" ".join(problem.detail for problem in problems), problems)
 
 
 def reported(hyperparameters: Mapping[str, Any]) -> BaseSpec:

@@ -1,6 +1,7 @@
 """Hyperparameters that algorithms share, and what code for any algorithm reads of them."""
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field
@@ -52,6 +53,11 @@ class BaseSpec(Strict):
         """Names of the settings that a run reads only at its beginning: a resumed one may have others, which
         change nothing."""
         return ()
+
+    @property
+    def unread(self) -> Mapping[str, str]:
+        """Why settings are not read beside the others, as a sentence by their names: by default, all are."""
+        return {}
 
     def of_environment(self, environment: EnvironmentInfo) -> Self:
         """The settings with what they take from the environment's observation: by default, nothing.

@@ -193,6 +193,15 @@ class PPOSpec(BaseSpec):
         places = None if self.network is None else self.network.places
         return None if places is None else [list(place) for place in places]
 
+    @property
+    def unread(self) -> Mapping[str, str]:
+        if self.network is None:
+            return {}
+        detail = (
+            "policy_hidden_layer_sizes are of a perceptron, and `network` takes its place: leave them out."
+        )
+        return {"policy_hidden_layer_sizes": detail}
+
     def of_environment(self, environment: EnvironmentInfo) -> Self:
         if self.network is None:
             return self
@@ -256,6 +265,7 @@ def refusal(settings: PPOSpec, environment: EnvironmentInfo, device: Device) -> 
     return (
         _uneven_batch(settings, device)
         or _crossed_learning_rates(settings)
+        or _lone_actions(settings)
         or _unknown_observation(settings, environment)
         or check_curriculum(settings.reset_pool_size, environment)
     )
@@ -285,6 +295,18 @@ def _crossed_learning_rates(settings: PPOSpec) -> Rejected | None:
     )
     names = ("learning_rate_schedule_min_lr", "learning_rate_schedule_max_lr")
     return Rejected(detail, [Problem(f"/algorithm/{name}", detail) for name in names])
+
+
+def _lone_actions(settings: PPOSpec) -> Rejected | None:
+    network = settings.network
+    if network is None or network.smoothness_weight == 0 or settings.unroll_length > 1:
+        return None
+    detail = (
+        "smoothness_weight is that of how far an intention moves from one action of an unroll to the next, "
+        "and with unroll_length = 1 there is no next one: take a longer unroll, or leave it out."
+    )
+    places = ("network/smoothness_weight", "unroll_length")
+    return Rejected(detail, [Problem(f"/algorithm/{place}", detail) for place in places])
 
 
 def _unknown_observation(settings: PPOSpec, environment: EnvironmentInfo) -> Rejected | None:

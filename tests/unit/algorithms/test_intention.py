@@ -179,6 +179,23 @@ def test_an_environment_without_names_needs_places() -> None:
         Learner(probes.intention(), settings(places=None)).init(jnp.uint32(0))
 
 
+def test_settings_that_nothing_reads_beside_the_network_are_refused() -> None:
+    info = catalog.find("ant").under(catalog.find("ant").options())
+
+    def pointers(given: PPOSpec) -> list[str]:
+        with pytest.raises(Rejected) as refused:
+            resolve(given, info, "cpu")
+        return [problem.pointer for problem in refused.value.problems]
+
+    sizes = PPOSpec.model_validate({"network": NETWORK, "policy_hidden_layer_sizes": [16]})
+    assert pointers(sizes) == ["/algorithm/policy_hidden_layer_sizes"]
+    lone = PPOSpec.model_validate({"network": {**NETWORK, "smoothness_weight": 0.1}, "unroll_length": 1})
+    assert pointers(lone) == ["/algorithm/network/smoothness_weight", "/algorithm/unroll_length"]
+    # What a run took can be sent again.
+    taken = resolve(PPOSpec.model_validate({"network": NETWORK}), info, "cpu")
+    assert resolve(PPOSpec.model_validate(taken.model_dump()), info, "cpu") == taken
+
+
 @pytest.mark.parametrize(
     ("places", "sentence"),
     [
