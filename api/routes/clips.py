@@ -320,4 +320,4 @@ def delete_clips(clips_id: ClipsId, service: ServiceDep, principal: PrincipalDep
     clips = service.store.clips
     library.find(clips_id, clips)
     projects = own_projects(clips_id, clips, principal)
-    remove_upload(clips_id, clips, projects, store=service.store, objects=service.objects)
+    remove_upload(clips_id, clips, projects, objects=service.objects)

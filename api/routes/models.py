@@ -184,7 +184,7 @@ def delete_model(model_id: ModelId, service: ServiceDep, principal: PrincipalDep
     models = service.store.models
     library.find(model_id, models)
     projects = own_projects(model_id, models, principal)
-    remove_upload(model_id, models, projects, store=service.store, objects=service.objects)
+    remove_upload(model_id, models, projects, objects=service.objects)
 
 
 def _add(

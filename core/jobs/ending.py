@@ -108,19 +108,16 @@ def remove_upload(
     uploads: UploadStore[Record],
     projects: Collection[str],
     *,
-    store: JobStore,
     objects: ObjectStore,
 ) -> None:
-    """Take a model or a file of clips from these projects; once none has it, remove its file and its record.
+    """Take a model or a file of clips from these projects; once none has it, remove its record and its file.
 
-    Raises the kind's `missing`, and its `in_use` while a job in one of these projects needs it. Ended jobs
-    keep their files, but their policies cannot be run here any more.
+    The record goes first: no job names a file that is gone. If the file is sent again in between, its
+    validation says that it is to be sent once more. Raises the kind's `missing`, and its `in_use` while a job
+    in one of these projects needs it. Ended jobs keep their files, but their policies cannot be run here any
+    more.
     """
     library.find(upload_id, uploads)
-    users = store.users_of(upload_id)
-    if needed := [job for job in users if store.owner_of(job).project in projects]:
-        raise uploads.kind.in_use(upload_id, needed)
-    if uploads.release(upload_id, projects) or users:
-        return
-    objects.delete_prefix(keys.previews_of(upload_id))
-    library.forget(upload_id, store=uploads, objects=objects)
+    if uploads.release(upload_id, projects):
+        objects.delete_prefix(keys.previews_of(upload_id))
+        objects.delete_prefix(uploads.kind.prefix(upload_id))

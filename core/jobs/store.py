@@ -229,9 +229,9 @@ class JobStore(NewsStore, QuotaStore, RetentionStore, Uploads, UsageStore, Worke
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
         """Store a new job and its dispatch, and return it; or, for a key seen before with the same
         fingerprint, the job stored then. Raises IdempotencyKeyReused for another fingerprint, JobExists for
-        an id that exists, JobNotFound if the job whose checkpoint it needs was deleted, and QuotaExceeded if
-        as many jobs of its owner or project are queued as may be; that is exact however many add jobs at
-        once. Keys are remembered for 24 hours."""
+        an id that exists, JobNotFound if the job whose checkpoint it needs was deleted, ClipsNotFound if
+        clips that it names were, and QuotaExceeded if as many jobs of its owner or project are queued as may
+        be; that is exact however many add jobs at once. Keys are remembered for 24 hours."""
         ...
 
     def import_job(

@@ -16,6 +16,7 @@ from core.accounts.principal import NOBODYS, Ownership
 from core.algorithms.catalog import environment_options
 from core.errors import (
     BadExport,
+    ClipsNotFound,
     GaitwayError,
     JobNotFound,
     JobUnreadable,
@@ -68,7 +69,7 @@ def submit(  # noqa: PLR0913 # All but the specification are named.
     check_quotas(spec, ownership, store)
     try:
         job = store.add(new_job(spec, store, ownership, readable, correlation_id), idempotency)
-    except JobNotFound:  # The job whose checkpoint it needs was deleted between the check and this.
+    except (JobNotFound, ClipsNotFound):  # What it needs was deleted between the check and this: check again.
         job = store.add(new_job(spec, store, ownership, readable, correlation_id), idempotency)
     log.info("job_submitted", job_id=job.id)
     dispatch = Dispatch("attempt", job.id, job.next_attempt)

@@ -48,8 +48,7 @@ def add(  # noqa: PLR0913 # All but the file are named.
         known = find(record.id, store)
     except NotFound:
         known = None
-    if known is not None and known.status != "refused":
-        store.claim(record.id, ownership)
+    if known is not None and known.status != "refused" and _claimed(record.id, store, ownership):
         if record.name in (None, known.name) or not may_rename(record.id, sender, store):
             return known
         store.rename(record.id, str(record.name))
@@ -61,6 +60,15 @@ def add(  # noqa: PLR0913 # All but the file are named.
         queue.enqueue_upload(store.kind.name, record.id)
         store.dispatched(record.id)
     return record
+
+
+def _claimed(upload_id: str, store: UploadStore[Record], ownership: Ownership) -> bool:
+    """Whether the owner's project has it now; False if somebody has deleted it."""
+    try:
+        store.claim(upload_id, ownership)
+    except NotFound:
+        return False
+    return True
 
 
 def may_rename(upload_id: str, sender: Principal, store: UploadStore[Record]) -> bool:

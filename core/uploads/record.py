@@ -151,5 +151,8 @@ class UploadStore(Protocol[Record]):
         ...
 
     def release(self, upload_id: str, projects: Collection[str]) -> bool:
-        """Take it from these projects; whether another one has it."""
+        """Take it from these projects. True if none has it now, and no job needs it: its record is gone.
+
+        Raises the kind's `missing`, and its `in_use` while an unfinished job in one of these needs it.
+        """
         ...

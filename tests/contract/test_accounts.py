@@ -293,11 +293,12 @@ def test_a_model_is_in_each_project_to_which_it_was_sent(job_store: PostgresJobS
     assert [one.id for one in job_store.models.list(projects=("b",)).uploads] == [record.id]
     assert job_store.models.list(projects=("c",)).uploads == []
     assert job_store.models.list(projects=("b",), owner="ann").uploads == []
-    assert job_store.models.release(record.id, ["a"])
-    assert not job_store.models.release(record.id, ["b"])
+    assert not job_store.models.release(record.id, ["a"])
+    assert job_store.models.release(record.id, ["b"])
     with pytest.raises(ModelNotFound):
-        job_store.models.claim(f"sha256:{'f' * 64}", Ownership("ann", "a"))
-    job_store.models.delete(record.id)
+        job_store.models.release(record.id, ["b"])
+    with pytest.raises(ModelNotFound):
+        job_store.models.claim(record.id, Ownership("ann", "a"))
 
 
 def test_a_listing_of_ones_projects_reads_few_rows_of_many(

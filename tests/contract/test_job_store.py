@@ -11,9 +11,12 @@ from functools import partial
 import pytest
 from structlog.testing import capture_logs
 
+from core.accounts.principal import NOBODYS
 from core.clips.record import ClipFacts, ClipsDescription
 from core.environments.terms.inventory import Inventory, Sizes
 from core.errors import (
+    ClipsInUse,
+    ClipsNotFound,
     IdempotencyKeyReused,
     JobExists,
     JobNotFound,
@@ -506,11 +509,30 @@ class TestClips:
     def test_unfinished_jobs_use_them(self, jobs: JobStore) -> None:
         choices = [{"file": CLIPS}, {"file": CLIPS.replace("c", "d")}, {"file": CLIPS}]
         job = queued_job(environment={"id": "ant", "options": {"reference": {"clips": choices}}})
+        for choice in choices:
+            jobs.clips.add(clip_file(choice["file"]))
         jobs.add(job)
         assert jobs.users_of(CLIPS) == jobs.users_of(CLIPS.replace("c", "d")) == [job.id]
         assert jobs.users_of(CLIPS.replace("c", "e")) == []
         jobs.save(cancelled(job))
         assert jobs.users_of(CLIPS) == []
+
+    def test_those_that_a_job_needs_are_not_released_and_those_that_are_gone_not_named(
+        self, jobs: JobStore
+    ) -> None:
+        environment = {"id": "ant", "options": {"reference": {"clips": [{"file": CLIPS}]}}}
+        jobs.clips.add(clip_file())
+        jobs.clips.claim(CLIPS, NOBODYS)
+        jobs.add(job := queued_job(environment=environment))
+        with pytest.raises(ClipsInUse, match=job.id):
+            jobs.clips.release(CLIPS, ["default"])
+        assert not jobs.clips.release(CLIPS, ["another"])
+        jobs.save(cancelled(job))
+        assert jobs.clips.release(CLIPS, ["default"])
+        with pytest.raises(ClipsNotFound):
+            jobs.add(later := queued_job(1, environment=environment))
+        with pytest.raises(JobNotFound):
+            jobs.get(later.id)
 
 
 class TestUnreadable:

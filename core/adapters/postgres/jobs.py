@@ -38,6 +38,7 @@ from core.adapters.postgres.tables import (
     jobs,
 )
 from core.errors import (
+    ClipsNotFound,
     IdempotencyKeyReused,
     JobExists,
     JobInUse,
@@ -50,6 +51,7 @@ from core.jobs.patch import JobPatch, patched
 from core.jobs.spec import decoder_job
 from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Entry, Idempotency, JobPage, JobQuery, Mark
+from core.jobs.uploads import clip_files_of
 
 KEYS_REMEMBERED = timedelta(hours=24)
 # Rows of one call, which has two seconds: an import of 5,000 files was refused as an outage.
@@ -69,13 +71,16 @@ class JobQueries(Session):
         source = job.spec.source if is_queued else None
         is_limited = is_queued and self._limits_queue(job.ownership)
         decoder = decoder_job(job.spec.environment) if is_queued else None
-        is_more = bool(job.attempts or job.artifacts or source or decoder or is_limited)
+        names_clips = is_queued and bool(clip_files_of(job.spec.environment))
+        is_more = bool(job.attempts or job.artifacts or source or decoder or names_clips or is_limited)
         try:
             with self._transaction() if is_more else self._statements() as connection:
                 if source is not None and not rows.hold_source(connection, source):
                     raise JobNotFound(source.job)
                 if decoder is not None and not rows.hold_job(connection, decoder):
                     raise JobNotFound(decoder)
+                if names_clips and (gone := rows.hold_clips(connection, job.spec.environment)):
+                    raise ClipsNotFound(gone[0])
                 if is_limited:
                     quotas.check_queue(connection, job.ownership)
                 if add_job(connection, job, idempotency):
@@ -209,12 +214,8 @@ class JobQueries(Session):
         return {row.id: Mark(row.version, row.num_events, row.num_logs) for row in found}
 
     def users_of(self, upload_id: str) -> Sequence[str]:
-        wanted = select(jobs.c.id).where(
-            jobs.c.status.in_(UNFINISHED),
-            or_(jobs.c.model == upload_id, literal(upload_id) == any_(jobs.c.clip_files)),
-        )
         with self._statements() as connection:
-            return connection.execute(wanted.order_by(jobs.c.id)).scalars().all()
+            return connection.execute(rows.users_of(upload_id)).scalars().all()
 
     def jobs_needing_checkpoint_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
         with self._statements() as connection:

@@ -22,12 +22,13 @@ from sqlalchemy import (
     func,
     literal,
     literal_column,
+    or_,
     select,
 )
 from sqlalchemy import cast as cast_to
 from sqlalchemy.dialects.postgresql import aggregate_order_by
 
-from core.adapters.postgres.tables import NOW, artifacts, attempts, jobs
+from core.adapters.postgres.tables import NOW, UNFINISHED, artifacts, attempts, clip_files, jobs
 from core.bounds import LONGEST_MESSAGE
 from core.documents import read_leniently
 from core.errors import JobNotFound, JobUnreadable
@@ -35,7 +36,7 @@ from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
 from core.jobs.patch import JobPatch
 from core.jobs.queue import queue_of
 from core.jobs.sharing import alike
-from core.jobs.spec import JOB_SPEC, Source, TrainSpec, decoder_job
+from core.jobs.spec import JOB_SPEC, EnvironmentSpec, Source, TrainSpec, decoder_job
 from core.jobs.status import JobStatus
 from core.jobs.uploads import clip_files_of
 
@@ -259,6 +260,24 @@ def hold_source(connection: Connection, source: Source) -> bool:
         ),
     )
     return connection.execute(has_lost).first() is None
+
+
+def hold_clips(connection: Connection, environment: EnvironmentSpec) -> Sequence[str]:
+    """The clip files that it names and that do not exist; nobody deletes the others before the transaction
+    ends."""
+    named = clip_files_of(environment)
+    if not named:
+        return ()
+    ids = select(clip_files.c.id).where(clip_files.c.id.in_(named)).order_by(clip_files.c.id)
+    held = set(connection.execute(ids.with_for_update(read=True, key_share=True)).scalars())
+    return [file for file in named if file not in held]
+
+
+def users_of(upload_id: str) -> Any:
+    """The unfinished jobs that need this model or file of clips: `id`, `project`."""
+    names = or_(jobs.c.model == upload_id, literal(upload_id) == any_(jobs.c.clip_files))
+    wanted = select(jobs.c.id, jobs.c.project).where(jobs.c.status.in_(UNFINISHED), names)
+    return wanted.order_by(jobs.c.id)
 
 
 def readable(job: Job | UnreadableJob) -> Job:

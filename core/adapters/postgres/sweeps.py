@@ -174,6 +174,7 @@ class SweepQueries(Session):
                     rows.hold_job(connection, job.spec.source.job)
                 if (decoder := decoder_job(job.spec.environment)) is not None:
                     rows.hold_job(connection, decoder)
+                rows.hold_clips(connection, job.spec.environment)
                 quotas.check_queue(connection, job.ownership)
                 add_job(connection, job)
             connection.execute(insert(trials).values(sweep_id=sweep_id, **_trial_values(trial)))

@@ -17,7 +17,7 @@ from core.adapters.postgres import listing
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.errors import Breaker
 from core.adapters.postgres.listing import check_upload_cursor, upload_cursor
-from core.adapters.postgres.rows import columns, words
+from core.adapters.postgres.rows import columns, users_of, words
 from core.adapters.postgres.tables import (
     NOW,
     clip_file_projects,
@@ -95,8 +95,7 @@ class UploadQueries(Session, Generic[Record]):
 
     def delete(self, upload_id: str) -> None:
         with self._transaction() as connection:
-            connection.execute(delete(self._uploads).where(self._uploads.c.id == upload_id))
-            connection.execute(self._dispatch_of(upload_id))
+            self._forget(connection, upload_id)
 
     def num_waiting(self) -> int:
         with self._statements() as connection:
@@ -158,9 +157,23 @@ class UploadQueries(Session, Generic[Record]):
 
     def release(self, upload_id: str, projects: Collection[str]) -> bool:
         table, is_its = self._tables.projects, self._tables.upload == upload_id
+        # With `claim` and `hold_clips`: whoever comes second waits, and then sees what the first one did.
+        held = select(self._uploads.c.id).where(self._uploads.c.id == upload_id).with_for_update()
         with self._transaction() as connection:
+            if connection.execute(held).first() is None:
+                raise self.kind.missing(upload_id)
+            users = connection.execute(users_of(upload_id)).all()
+            if needed := [job.id for job in users if job.project in projects]:
+                raise self.kind.in_use(upload_id, needed)
             connection.execute(delete(table).where(is_its, table.c.project.in_(projects)))
-            return connection.execute(select(table.c.project).where(is_its)).first() is not None
+            if users or connection.execute(select(table.c.project).where(is_its)).first() is not None:
+                return False
+            self._forget(connection, upload_id)
+            return True
+
+    def _forget(self, connection: Connection, upload_id: str) -> None:
+        connection.execute(delete(self._uploads).where(self._uploads.c.id == upload_id))
+        connection.execute(self._dispatch_of(upload_id))
 
     def _change(self, connection: Connection, upload_id: str, values: dict[str, Any]) -> None:
         """Raises the kind's `missing`."""
