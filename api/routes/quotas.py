@@ -38,8 +38,8 @@ class NewQuota(Strict):
     """What a user or a project may have. Without a number there is no limit; 0 is none at all.
 
     weight: of its share where turns are given; with 0 it comes after all others. running, queued: jobs at
-    once. gpu_hours: in seven days. bytes: of the files of jobs, and of models. highest_priority: of the jobs
-    that they submit.
+    once. gpu_hours: in seven days. bytes: of the files of jobs, of models and of clips. highest_priority: of
+    the jobs that they submit.
     """
 
     weight: float = Field(1.0, ge=0, le=1e6)

@@ -36,7 +36,7 @@ class Use:
     """What the jobs of a user or a project have now.
 
     gpu_hours: of the last seven days, by the beginning of each hour, with what runs now. bytes: of the files
-    of jobs, and of models.
+    of jobs, of models and of clips.
     """
 
     running: int = 0
@@ -183,8 +183,8 @@ def over_bytes(found: QuotaUse, adding: int = 0) -> QuotaExceeded | None:
         return QuotaExceeded(f"The {found.whose} may store nothing: its quota of bytes is 0.", **facts)
     more = f", and this is {_size(adding)} more" if used < most else ""
     return QuotaExceeded(
-        f"The {found.whose} stores {_size(used)} of its {_size(most)}{more}: delete jobs or models first, "
-        "as by `gaitway delete JOB`; that frees room at once.",
+        f"The {found.whose} stores {_size(used)} of its {_size(most)}{more}: delete jobs, models or clips "
+        "first, as by `gaitway delete JOB`; that frees room at once.",
         **facts,
     )
 

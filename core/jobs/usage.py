@@ -113,7 +113,7 @@ class ProjectUsage:
     """What a user's jobs of a project took in a window, with those that run now, and how many wait now.
 
     owner: empty without accounts. oldest_queued_s: for how long the oldest of those that wait has, since its
-    submission; None if none waits. bytes: of their jobs' files and of their models, now.
+    submission; None if none waits. bytes: of their jobs' files, their models and their clips, now.
     """
 
     project: str

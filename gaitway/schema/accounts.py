@@ -99,7 +99,7 @@ class QuotaView(View):
     """What a user or a project may have: kind is `user` or `project`; null: as much as they like.
 
     weight: of its share where turns are given. running, queued: jobs at once. gpu_hours: in seven days.
-    bytes: of the files of jobs, and of models. highest_priority: of the jobs that they submit.
+    bytes: of the files of jobs, of models and of clips. highest_priority: of the jobs that they submit.
     """
 
     kind: QuotaKind

@@ -239,7 +239,7 @@ class ProjectUsageView(View):
 
     jobs, attempts: how many ended; running: attempts that run now. seconds: of all attempts; gpu_seconds:
     those, times the GPUs that each had. queued: jobs that wait now, the oldest for oldest_queued_s since its
-    submission; null if none waits. bytes: of the files of these jobs, and of models, that are stored now.
+    submission; null if none waits. bytes: of the files of these jobs, of models and of clips, stored now.
     """
 
     project: str

@@ -206,7 +206,7 @@ def test_bytes_are_refused_where_they_come_in(stack: Stack) -> None:
         name="a", role="picture", media_type="image/png", size=41_000, sha256="0" * 64, key=f"jobs/{job.id}/a"
     )
     stack.store.save(claimed.with_artifacts((file,)))
-    words = "The project default stores 41.0 KB of its 40.0 KB: delete jobs or models first"
+    words = "The project default stores 41.0 KB of its 40.0 KB: delete jobs, models or clips first"
     xml = {"content": XML, "headers": {"Content-Type": "application/xml"}}
     archive = {"content": b"PK", "headers": {"Content-Type": "application/zip"}}
     sent: dict[str, Any] = {"/jobs": {"json": ANT}, "/models": xml, "/jobs/import": archive}

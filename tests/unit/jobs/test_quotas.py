@@ -68,7 +68,7 @@ def test_room_of_less_than_a_twentieth_of_an_hour_is_not_told() -> None:
         (over_bytes(found(Quota(bytes=40 * 10**9), bytes=41 * 10**9)), "stores 41.0 GB of its 40.0 GB: del"),
         (
             over_bytes(found(Quota(bytes=40_000), bytes=39_500), adding=501),
-            "stores 39.5 KB of its 40.0 KB, and this is 501 B more: delete jobs or models first",
+            "stores 39.5 KB of its 40.0 KB, and this is 501 B more: delete jobs, models or clips first",
         ),
     ],
 )
