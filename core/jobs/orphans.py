@@ -204,13 +204,14 @@ def differences(*, store: JobStore, objects: ObjectStore) -> Iterator[Difference
 
 def mark_missing(owner: str, missing: Sequence[str], *, store: JobStore, objects: ObjectStore) -> None:
     """Remove from the record what is missing: files, with a note in the job's events; a model or clips,
-    so that they can be sent again. A note takes the place of a missing part of a feed.
+    so that they can be sent again. Clips that are there as they were sent are validated again instead, which
+    makes the rest. A note takes the place of a missing part of a feed.
 
     Raises JobNotFound, JobUnreadable.
     """
     if owner.startswith("sha256:"):
         for uploads in (store.models, store.clips):  # No two have an id in common.
-            uploads.delete(owner)
+            _mark_upload(owner, missing, uploads)
         return
     for chunk in store.chunks([owner]).get(owner, ()):
         if chunk.key in missing:
@@ -224,6 +225,16 @@ def mark_missing(owner: str, missing: Sequence[str], *, store: JobStore, objects
         note = f"Lost from the object store, and removed from the record: {names}."
         with suppress(StaleJob):  # Its attempt came between; look again.
             store.save(job.without_artifacts(lost), note=note)
+
+
+def _mark_upload(upload_id: str, missing: Sequence[str], store: UploadStore[Any]) -> None:
+    if store.kind.source(upload_id) in missing:
+        store.delete(upload_id)
+        return
+    with suppress(NotFound):
+        record = store.find(upload_id)
+        # With its description: jobs that name it go on where they find what they need.
+        store.settle(record.model_copy(update={"status": "validating"}))
 
 
 def _differences_in_jobs(batch: Folders, store: JobStore, objects: ObjectStore) -> Iterator[Difference]:

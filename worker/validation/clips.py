@@ -16,7 +16,7 @@ from core.uploads import library
 from worker.confinement.confinement import Limits
 from worker.host.disk import read_plain
 from worker.validation.answer import ClipsAnswer, ClipsQuestion, read_answer
-from worker.validation.confined import ANSWER, run_to_its_end
+from worker.validation.confined import ANSWER, run_to_its_end, why_without_answer
 
 log = structlog.get_logger()
 
@@ -53,13 +53,13 @@ def validate_clips(
     else:
         told = {"status": "refused", "message": answer.refusal, "refused_at": utc_now()}
         found = record.model_copy(update=told)
+    if found.status == "refused":  # First: once they are refused, they may be sent again.
+        objects.delete_prefix(CLIPS.prefix(file_id))
     try:
         store.settle(found)
     except NotFound:  # Somebody has deleted it meanwhile.
         objects.delete_prefix(CLIPS.prefix(file_id))
         raise
-    if found.status == "refused":
-        objects.delete_prefix(CLIPS.prefix(file_id))
     log.info("clips_validated", clips=file_id, status=found.status, detail=found.message)
 
 
@@ -91,11 +91,7 @@ def _examined(
     answer = read_answer(folder / ANSWER, ClipsAnswer)
     if answer.refusal is not None or (answer.description is not None and status == 0):
         return answer
-    if status is None or status < 0:
-        return ClipsAnswer(
-            refusal=f"Reading the file was not done within {limits.wall_s:g} s; send a shorter one."
-        )
-    return ClipsAnswer(refusal="The file could not be read; it may need more memory than clips may.")
+    return ClipsAnswer(refusal=why_without_answer("The reader", "file of clips", status, limits))
 
 
 def _kept(record: ClipFile, found: ClipsDescription, folder: Path, objects: ObjectStore) -> ClipsDescription:

@@ -78,9 +78,9 @@ def validate(  # noqa: PLR0913 # Which model, and the places that are needed.
         else:
             told = {"status": "refused", "message": answer.refusal, "refused_at": utc_now()}
             found = record.model_copy(update=told)
-        store.settle(found)  # Raises if somebody has deleted it meanwhile.
-        if found.status == "refused":
+        if found.status == "refused":  # First: once it is refused, it may be sent again.
             objects.delete_prefix(keys.model_source(model_id))
+        store.settle(found)  # Raises if somebody has deleted it meanwhile.
         log.info(
             "model_validated",
             model=model_id,
@@ -187,12 +187,13 @@ def _answer(folder: Path, status: int | None, limits: Limits, text: IO[bytes], w
         described = said.model_copy(update={"trials": trials, "complete": True})
         return answer.model_copy(update={"description": described})
     log.warning("model_not_understood", status=status, text=tail(text, 1000))
-    return ModelAnswer(refusal=_why(status, limits))
+    return ModelAnswer(refusal=why_without_answer("MuJoCo", "model", status, limits))
 
 
-def _why(status: int | None, limits: Limits) -> str:
+def why_without_answer(reader: str, what: str, status: int | None, limits: Limits) -> str:
+    """The refusal of a file whose process said nothing of it, by its exit status; None: it took too long."""
     if status is None or status in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f"MuJoCo was not done with the model within {limits.wall_s:g} s; make it smaller."
+        return f"{reader} was not done with the {what} within {limits.wall_s:g} s; make it smaller."
     if status < 0:
-        return f"MuJoCo crashed on the model ({signal.Signals(-status).name})."
-    return "The model could not be read; it may need more memory than a model may."
+        return f"{reader} crashed on the {what} ({signal.Signals(-status).name})."
+    return f"The {what} could not be read; it may need more memory than a {what} may."

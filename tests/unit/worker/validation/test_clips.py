@@ -1,6 +1,7 @@
 """A file of clips in the confined process: what is found, kept and refused."""
 
 import json
+import signal
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from core.clips.clip import Clip
 from core.clips.record import ARCHIVE, REPLAY, SCENE, ClipFile, clips_id
 from core.errors import ClipsNotFound
 from core.jobs.job import utc_now
+from core.jobs.orphans import differences, mark_missing
 from core.rendering.replay.replay_file import read_replay
 from core.storage import keys
 from core.uploads import library
@@ -113,6 +115,66 @@ def test_clips_of_another_body_are_refused_and_leave_nothing(tmp_path: Path, sto
     assert found.status == "refused"
     assert "elbow" in (found.message or "")
     assert list(stores["objects"].list(keys.clip_files())) == []
+
+
+class Watched(MemoryObjectStore):
+    """Notes in what state the clips are when their files are removed."""
+
+    def __init__(self, store: PostgresJobStore) -> None:
+        super().__init__()
+        self.store, self.states = store, list[str]()
+
+    def delete_prefix(self, prefix: str) -> None:
+        self.states += [record.status for record in self.store.clips.all()]
+        super().delete_prefix(prefix)
+
+
+def test_files_of_refused_clips_are_removed_before_they_can_be_sent_again(
+    tmp_path: Path, stores: dict[str, Any]
+) -> None:
+    objects = stores["objects"] = Watched(stores["store"])
+    sent(archive.to_bytes([hop(joint="elbow")]), stores, tmp_path)
+    assert objects.states == ["validating"]
+
+
+def test_clips_whose_replay_was_lost_are_validated_again(tmp_path: Path, stores: dict[str, Any]) -> None:
+    found = sent(archive.to_bytes([hop()]), stores, tmp_path)
+    store, objects = stores["store"], stores["objects"]
+    replay = keys.made_of_clips(found.id, REPLAY)
+    objects.delete_prefix(replay)
+    [lost] = [one for one in differences(store=store, objects=objects) if one.owner == found.id]
+    assert lost.missing == [replay]
+    mark_missing(lost.owner, lost.missing, store=store, objects=objects)
+    assert library.find(found.id, store.clips) == found.model_copy(update={"status": "validating"})
+    spool = tmp_path / "again"
+    spool.mkdir()
+    validate_clips(found.id, store, objects, spool, tmp_path)
+    assert library.find(found.id, store.clips) == found
+    assert objects.info(replay).size > 0
+    source = keys.clip_file_source(found.id)
+    objects.delete_prefix(source)
+    mark_missing(found.id, [source], store=store, objects=objects)
+    with pytest.raises(ClipsNotFound):
+        library.find(found.id, store.clips)
+
+
+@pytest.mark.parametrize(
+    ("status", "sentence"),
+    [
+        (None, "The reader was not done with the file of clips within 90 s; make it smaller."),
+        (-signal.SIGSEGV, "The reader crashed on the file of clips (SIGSEGV)."),
+        (1, "The file of clips could not be read; it may need more memory than a file of clips may."),
+    ],
+)
+def test_a_process_that_says_nothing_is_told_by_its_end(
+    tmp_path: Path,
+    stores: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    status: int | None,
+    sentence: str,
+) -> None:
+    monkeypatch.setattr("worker.validation.clips.run_to_its_end", lambda *_args, **_how: status)
+    assert sent(b"clips", stores, tmp_path).message == sentence
 
 
 def test_what_is_no_file_of_clips_is_refused_in_a_sentence(tmp_path: Path, stores: dict[str, Any]) -> None:
