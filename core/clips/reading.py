@@ -1,6 +1,8 @@
 """A file of clips in any known format, told by its content, as clips of a body."""
 
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -118,6 +120,9 @@ def _of_npz(path: Path) -> tuple[str, list[Recording]]:
         OSError,
         KeyError,
         NotImplementedError,
+        RuntimeError,  # It is encrypted.
+        tokenize.TokenError,  # The header of an array is damaged.
+        zlib.error,
     ) as error:
         raise BadClips(f"The NPZ file is not whole: {error}.") from None
     raise BadClips(f"The NPZ file has {_some(names)}, which is no known format. Known are {_FORMATS}.")

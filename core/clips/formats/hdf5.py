@@ -12,6 +12,8 @@ from core.errors import BadClips
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 MOST_MEMBERS = 100_000
+# What h5py raises for damage, by where it lies.
+_DAMAGED = (OSError, RuntimeError, KeyError, TypeError, ValueError)
 
 
 @contextmanager
@@ -19,12 +21,12 @@ def opened(path: Path) -> Generator[Any]:
     """The file's root group. Raises BadClips if it is damaged."""
     try:
         file = h5py.File(path, "r")
-    except OSError as error:
+    except _DAMAGED as error:
         raise BadClips(f"The HDF5 file is not whole: {error}.") from None
     with file:
         try:
             yield file
-        except (OSError, RuntimeError, KeyError) as error:
+        except _DAMAGED as error:
             raise BadClips(f"The HDF5 file is damaged: {error}.") from None
 
 

@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import zipfile
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 
 from core.clips import archive
 from core.clips.clip import Clip, with_velocities
+from core.clips.formats import hdf5
 from core.clips.kinematics import poses, qpos
 from core.clips.reading import read
 from core.clips.skeleton import skeleton_of
@@ -240,6 +242,41 @@ def test_our_own_file_of_clips_is_read_again(model: mujoco.MjModel, tmp_path: Pa
     found = read(tmp_path / "clips.npz", model)
     assert [clip.name for clip in found.clips] == ["walk", "walk_2"]
     same(found.clips[0])
+
+
+def damaged(folder: Path, before: bytes, after: bytes) -> bytes:
+    """An NPZ file of one array that is not compressed, with other bytes in one place, and their checksum."""
+    with zipfile.ZipFile(npz(folder, joint_pos=ROWS)) as packed:
+        content = packed.read("joint_pos.npy")
+    assert before in content
+    assert len(before) == len(after)
+    with zipfile.ZipFile(buffer := io.BytesIO(), "w") as packed:
+        packed.writestr("joint_pos.npy", content.replace(before, after))
+        packed.writestr("joint_names.npy", npy(np.array(JOINTS)))
+    return buffer.getvalue()
+
+
+def test_a_damaged_header_of_an_array_is_refused(model: mujoco.MjModel, tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(damaged(tmp_path, b"), }", b"(, }"))
+    with pytest.raises(BadClips, match=r"The NPZ file .*\.$"):
+        read(tmp_path / "file", model)
+
+
+def test_an_encrypted_file_is_refused(model: mujoco.MjModel, tmp_path: Path) -> None:
+    content = bytearray(npz(tmp_path, joint_pos=ROWS).read_bytes())
+    for mark, place in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        content[content.index(mark) + place] |= 1
+    (tmp_path / "file").write_bytes(content)
+    with pytest.raises(BadClips, match="encrypted"):
+        read(tmp_path / "file", model)
+
+
+@pytest.mark.parametrize("error", [OSError, RuntimeError, KeyError, TypeError, ValueError])
+def test_whatever_h5py_says_of_damage_is_a_refusal(tmp_path: Path, error: type[Exception]) -> None:
+    with h5py.File(tmp_path / "file", "w"):
+        pass
+    with pytest.raises(BadClips, match="The HDF5 file is damaged"), hdf5.opened(tmp_path / "file"):
+        raise error("no such type")
 
 
 @pytest.mark.parametrize(
