@@ -1,9 +1,7 @@
 """The OpenAPI document: FastAPI's own, with the schemas of jobs and of problems, and examples of sweeps."""
 
-import ctypes
 import json
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, Literal, cast
@@ -27,6 +25,7 @@ from core.news.webhook import DeliveryStatus, WhichJobs
 from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.settings import ApiSettings
+from core.start_up import give_back_memory
 from core.sweeps.spec import SWEEP_SPEC
 from core.sweeps.sweep import SweepStatus
 from core.uploads.record import UploadStatus
@@ -138,8 +137,7 @@ def serve(app: FastAPI) -> None:
     @cache
     def document() -> bytes:
         text = json.dumps(app.openapi(), ensure_ascii=False, separators=(",", ":")).encode()
-        with suppress(OSError, AttributeError):  # glibc alone has it; the document's parts took 6 MiB
-            ctypes.CDLL(None).malloc_trim(0)
+        give_back_memory()  # The document's parts took 6 MiB.
         return text
 
     @app.get("/openapi.json", include_in_schema=False)
