@@ -15,7 +15,7 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.submission import new_job
 from core.reasons import Reason
-from tests.contract.recording import NOW, held, queued_job
+from tests.contract.recording import NOW, clip_file, held, queued_job
 from tests.in_memory import MemoryObjectStore
 from worker.protocol import Task
 from worker.supervision.starting_point import write_task
@@ -37,6 +37,8 @@ def trained(store: PostgresJobStore, at_s: int = 0, **changes: Any) -> Job:
     said = {"environment": {"id": "go1", "options": OPTIONS}, "network": NETWORK, "kept": True} | changes
     algorithm = {"kind": "ppo", **({"network": said["network"]} if said["network"] else {})}
     algorithm |= said.get("algorithm", {})
+    for choice in said["environment"]["options"].get("reference", {}).get("clips", []):
+        store.clips.add(clip_file(choice["file"]))
     job = held(store, queued_job(at_s, environment=said["environment"], algorithm=algorithm))
     info, _ = catalog.resolve(job.spec.environment.id, job.spec.environment.options)
     spec: Any = job.spec

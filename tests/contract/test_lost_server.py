@@ -76,6 +76,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "rooms": lambda jobs: jobs.rooms(),
         "turn_facts": lambda jobs: jobs.turn_facts(),
         "keep_peak": lambda jobs: jobs.keep_peak("like", 1),
+        "forget_peak": lambda jobs: jobs.forget_peak("like"),
         "quotas": lambda jobs: jobs.quotas(),
         "quota_uses": lambda jobs: jobs.quota_uses(),
         "set_quota": lambda jobs: jobs.set_quota("user", "ann", Quota(), Actor()),

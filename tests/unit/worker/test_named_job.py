@@ -37,10 +37,10 @@ def test_callbacks_are_not_called(
     redis_client: redis.Redis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     called: list[str] = []
-    monkeypatch.setitem(NamedJob.tasks, rq_queue.MODEL_TASK, called.append)
+    monkeypatch.setitem(NamedJob.tasks, rq_queue.UPLOAD_TASKS["model"], called.append)
     monkeypatch.setattr("tests.unit.worker.test_named_job.CALLED", called)
     queue(redis_client).enqueue_call(
-        rq_queue.MODEL_TASK,
+        rq_queue.UPLOAD_TASKS["model"],
         args=("model",),
         on_success=Callback("tests.unit.worker.test_named_job.call_back"),
         on_failure=Callback("tests.unit.worker.test_named_job.call_back"),
@@ -57,7 +57,7 @@ def test_a_method_of_a_value_is_no_task(redis_client: redis.Redis) -> None:
 
 
 def test_what_the_queue_sends_are_the_tasks_of_the_worker() -> None:
-    assert set(NamedJob.tasks) == {rq_queue.TASK, rq_queue.MODEL_TASK, rq_queue.PREVIEW_TASK}
+    assert set(NamedJob.tasks) == {rq_queue.TASK, *rq_queue.UPLOAD_TASKS.values(), rq_queue.PREVIEW_TASK}
 
 
 CALLED: list[str] = []

@@ -341,7 +341,7 @@ def test_a_reader_that_was_taken_over_cannot_make_its_worker_read_or_wait(kind: 
         os.mkfifo(said)
     elif kind == "nonsense":
         said.write_bytes(b'{"refusal": 7')
-    assert read_answer(said) == ModelAnswer()
+    assert read_answer(said, ModelAnswer) == ModelAnswer()
 
 
 def test_a_confined_process_dies_with_its_worker(tmp_path: Path) -> None:
