@@ -102,7 +102,8 @@ def load(path: str | os.PathLike[str] | BinaryIO) -> Policy:
 
 
 def _drawn(mean: Array, deviation: Array, noise: np.random.Generator) -> Array:
-    drawn: Any = noise.standard_normal(mean.shape, np.float32)
+    drawn = np.empty(mean.shape, np.float32)
+    noise.standard_normal(dtype=np.float32, out=drawn)
     return mean + deviation * drawn
 
 
