@@ -10,6 +10,7 @@ from anyio.to_thread import run_sync
 from fastapi import Request
 from pydantic import Field
 
+from api.access import whose
 from api.dependencies import QueryParameters, Service
 from api.problems import TooManyUploads
 from api.submissions import Upload, receiving
@@ -17,7 +18,7 @@ from core.accounts.principal import AccountName, Ownership, Principal
 from core.jobs.quotas import check_bytes
 from core.jobs.spec import Text
 from core.uploads import library
-from core.uploads.record import Record, UploadStore
+from core.uploads.record import Record, UploadPage, UploadStore
 
 # How long a request waits for the validation before it is answered 202.
 _TIMEOUT_S = 5.0
@@ -50,6 +51,18 @@ class UploadFilters(QueryParameters):
     name: Name | None = Field(None, description="Only those of this name.")
     owner: Text | None = Field(None, description="A user's name.", examples=[None])
     project: Text | None = Field(None, description="One of your projects.", examples=[None])
+
+
+def page_of(uploads: UploadStore[Record], listed: UploadFilters, principal: Principal) -> UploadPage[Record]:
+    """The part of the listing that is asked for, of what the principal may see. Raises Rejected."""
+    asked = whose(principal, listed.owner, listed.project)
+    return uploads.list(
+        cursor=listed.cursor,
+        limit=listed.limit,
+        name=listed.name,
+        projects=asked.projects,
+        owner=asked.owner,
+    )
 
 
 @asynccontextmanager

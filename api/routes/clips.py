@@ -8,7 +8,7 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field, TypeAdapter
 
-from api.access import Forbidden, PrincipalDep, ownership_of_new, whose
+from api.access import Forbidden, PrincipalDep, ownership_of_new
 from api.dependencies import Service, ServiceDep
 from api.files import file_response, responses
 from api.problems import (
@@ -25,6 +25,7 @@ from api.uploads import (
     UploadFilters,
     added,
     own_projects,
+    page_of,
     received,
     settled,
     shown,
@@ -229,14 +230,7 @@ def list_clips(
     listed: Annotated[UploadFilters, Query()], service: ServiceDep, principal: PrincipalDep
 ) -> Response:
     """Files of clips, the last sent first; with accounts those of your projects."""
-    asked = whose(principal, listed.owner, listed.project)
-    page = service.store.clips.list(
-        cursor=listed.cursor,
-        limit=listed.limit,
-        name=listed.name,
-        projects=asked.projects,
-        owner=asked.owner,
-    )
+    page = page_of(service.store.clips, listed, principal)
     items = _views(page.uploads, service, principal)
     return answer(Listing[ClipFileView](items=items, next=page.next_cursor))
 

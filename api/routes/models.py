@@ -7,11 +7,11 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 
-from api.access import PrincipalDep, ownership_of_new, whose
+from api.access import PrincipalDep, ownership_of_new
 from api.dependencies import Service, ServiceDep
 from api.problems import BodyTooLarge, TooManyUploads, UnsupportedMediaType, refusals
 from api.submissions import Upload, with_end
-from api.uploads import SentUpload, UploadFilters, added, own_projects, received, settled, shown
+from api.uploads import SentUpload, UploadFilters, added, own_projects, page_of, received, settled, shown
 from api.views import Listing, answer
 from core.accounts.principal import Ownership, Principal
 from core.environments.mjcf.main_document import MAX_MAIN_CHARACTERS, with_main
@@ -156,14 +156,7 @@ def list_models(
     listed: Annotated[UploadFilters, Query()], service: ServiceDep, principal: PrincipalDep
 ) -> Response:
     """Models, the last sent first; with accounts those of your projects."""
-    asked = whose(principal, listed.owner, listed.project)
-    page = service.store.models.list(
-        cursor=listed.cursor,
-        limit=listed.limit,
-        name=listed.name,
-        projects=asked.projects,
-        owner=asked.owner,
-    )
+    page = page_of(service.store.models, listed, principal)
     items = _views(page.uploads, service, principal)
     return answer(Listing[ModelView](items=items, next=page.next_cursor))
 

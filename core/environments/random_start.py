@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from core.environments.terms.describe import touchable
+from core.environments.terms.rotations import product, rotated
 from core.environments.terms.starts import Fallen, PoseRange, VelocityRange
 from core.environments.terms.step import ModelIndex
 from core.environments.terms.task import Reset
@@ -51,11 +52,11 @@ class RandomStart:
         self, key: jax.Array, pose: PoseRange, qpos: jax.Array, qvel: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         drawn = _uniform(key, pose)
-        turn = _product(_about(2, drawn[5]), _product(_about(1, drawn[4]), _about(0, drawn[3])))
+        turn = product(_about(2, drawn[5]), product(_about(1, drawn[4]), _about(0, drawn[3]), jnp), jnp)
         root, speeds = qpos[self._root], self._model.root_velocities
         along_the_world = slice(speeds.start, speeds.start + 3)
-        changed = jnp.concatenate([root[:3] + drawn[:3], _product(turn, root[3:])])
-        turned = qvel.at[along_the_world].set(_rotated(turn, qvel[along_the_world]))
+        changed = jnp.concatenate([root[:3] + drawn[:3], product(turn, root[3:], jnp)])
+        turned = qvel.at[along_the_world].set(rotated(turn, qvel[along_the_world], jnp))
         return qpos.at[self._root].set(changed), turned
 
     def _fallen(self, key: jax.Array, fallen: Fallen, qpos: jax.Array) -> jax.Array:
@@ -64,8 +65,8 @@ class RandomStart:
         chance = jax.random.uniform(for_root, (4,))
         root = qpos[self._root]
         if fallen.upside_down:
-            upside_down = _product(root[3:], jnp.array(_HALF_A_TURN))
-            turn = _product(_about(2, 2.0 * jnp.pi * chance[0]), upside_down)
+            upside_down = product(root[3:], jnp.array(_HALF_A_TURN), jnp)
+            turn = product(_about(2, 2.0 * jnp.pi * chance[0]), upside_down, jnp)
         else:
             turn = _anywhere(chance[:3])
         low, high = self._drop
@@ -96,19 +97,6 @@ def _uniform(key: jax.Array, ranges: PoseRange | VelocityRange) -> jax.Array:
 def _about(axis: int, angle: jax.Array) -> jax.Array:
     """The quaternion [4] of a turn about an axis of the world."""
     return jnp.zeros(4).at[0].set(jnp.cos(angle / 2)).at[axis + 1].set(jnp.sin(angle / 2))
-
-
-def _product(one: jax.Array, other: jax.Array) -> jax.Array:
-    """The quaternion [4] that turns as the other one does, and then as the first."""
-    w, v = one[0], one[1:]
-    s, u = other[0], other[1:]
-    return jnp.concatenate([(w * s - jnp.sum(v * u))[None], w * u + s * v + jnp.cross(v, u)])
-
-
-def _rotated(turn: jax.Array, vector: jax.Array) -> jax.Array:
-    """The vector [3], turned."""
-    w, v = turn[0], turn[1:]
-    return vector + 2.0 * jnp.cross(v, jnp.cross(v, vector) + w * vector)
 
 
 def _anywhere(uniform: jax.Array) -> jax.Array:
