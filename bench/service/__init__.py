@@ -1,5 +1,5 @@
 """The service: submissions, what accounts add, lists among a million jobs, the table of ten thousand, claims
-by 64 workers, what teams do, load with feeds, the page, the largest requests; `sharing` where two GPUs are.
+by 64 workers, what teams do, load with feeds, the page, the largest requests; `sharing` where a GPU is.
 
 The embedded stack's servers, the requests and the measuring share the machine.
 """
