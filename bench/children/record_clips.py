@@ -90,12 +90,10 @@ def _clips_of(seed: int, request: dict[str, Any]) -> Iterator[list[Any]]:
 def _recorded(name: str, environment: Any, policy: bytes, seconds: float) -> Iterator[Any]:
     """A clip of each episode in which the body does not fall."""
     import jax
-    import mujoco
     import numpy as np
 
     from core.algorithms.battery.run import on_the_cpu
     from core.algorithms.trained_policy import load_policy
-    from core.clips.clip import Clip
 
     with on_the_cpu():
         trained = load_policy(policy, "ppo", is_checkpoint=False)
@@ -111,22 +109,30 @@ def _recorded(name: str, environment: Any, policy: bytes, seconds: float) -> Ite
             return positions, jax.numpy.max(ends)
 
         positions, fell = jax.jit(jax.vmap(episode))(jax.random.split(jax.random.key(0), _EPISODES))
-    model, begin = environment.model, round(_BEFORE_S / environment.dt)
-    turning = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    joints = [number for number in range(model.njnt) if model.jnt_type[number] in turning]
-    [root] = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
-    start = model.jnt_qposadr[root]
+    begin = round(_BEFORE_S / environment.dt)
     for number in np.flatnonzero(np.asarray(fell) == 0):
         rows = np.asarray(positions[number][begin:], float)
-        turns = rows[:, start + 3 : start + 7]
-        yield Clip(
-            name=f"{name}-{number}",
-            rate=1.0 / environment.dt,
-            root_position=rows[:, start : start + 3],
-            root_orientation=turns / np.linalg.norm(turns, axis=1, keepdims=True),
-            joints=tuple(model.joint(joint).name for joint in joints),
-            joint_positions=rows[:, model.jnt_qposadr[joints]],
-        )
+        yield clip_of(f"{name}-{number}", rows, environment.model, 1.0 / environment.dt)
+
+
+def clip_of(name: str, rows: Any, model: Any, rate: float) -> Any:
+    """The clip of positions [T, nq] of a body with a free root, in frames per second."""
+    import numpy as np
+
+    from core.clips.clip import Clip
+    from core.clips.skeleton import skeleton_of
+
+    skeleton = skeleton_of(model)
+    start = skeleton.root_address
+    turns = rows[:, start + 3 : start + 7]
+    return Clip(
+        name=name,
+        rate=rate,
+        root_position=rows[:, start : start + 3],
+        root_orientation=turns / np.linalg.norm(turns, axis=1, keepdims=True),
+        joints=skeleton.joints,
+        joint_positions=rows[:, np.asarray(model.jnt_qposadr)[skeleton.joint_ids]],
+    )
 
 
 if __name__ == "__main__":

@@ -45,8 +45,8 @@ def frames_of(
     """The frames of clips, each with its weight, at the rate that they have. pose: positions [nq] of joints
     that a clip lacks.
 
-    Raises JobFailed("bad_clips") where a clip has joints that the model lacks, and where the frames are more
-    than a program can hold.
+    Raises JobFailed("bad_clips") where a clip has joints that the model lacks, or no joint, and where the
+    frames are more than a program can hold.
     """
     _check_size(sum(one.num_frames for one, _ in chosen), model, len(followed.bodies))
     parts = [_frames(one, model, followed, pose) for one, _ in chosen]
@@ -152,6 +152,8 @@ def _states(
         names = ", ".join(lacking[:10])
         raise _bad(f"The clip {clip.name!r} is of another body: the model has no joint {names}.")
     joints = [known[name] for name in clip.joints]
+    if not joints and followed.joints.size:
+        raise _bad(f"The clip {clip.name!r} moves none of the body's joints.")
     qpos = np.tile(pose, (clip.num_frames, 1))
     qvel = np.zeros((clip.num_frames, model.nv))
     start = followed.root

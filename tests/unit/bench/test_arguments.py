@@ -4,9 +4,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import mujoco
+import numpy as np
 import pytest
 
 from bench.__main__ import NAMES, parser
+from bench.children.record_clips import clip_of
 from bench.recovery.soak import growth
 from bench.train import rate
 
@@ -69,3 +72,18 @@ def test_growth_is_that_of_a_straight_line() -> None:
     assert growth([1.0, 3.0, 5.0]) == pytest.approx(4.0)
     assert growth([2.0, 0.0, 2.0]) == pytest.approx(0.0)
     assert growth([7.0]) == 0
+
+
+def test_a_recorded_clip_has_the_joints_of_its_body_in_their_places() -> None:
+    ball = '<geom size="0.1" mass="1"/>'
+    end = f'<body><joint name="slider" type="slide"/>{ball}</body>'
+    arm = f'<body><joint name="elbow" type="hinge"/>{ball}{end}</body>'
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody><body><freejoint/>{ball}{arm}</body></worldbody></mujoco>"
+    )
+    rows = np.array([[1.0, 2, 3, 2, 0, 0, 0, 5, 6], [1.0, 2, 3, 0, 2, 0, 0, 7, 8]])
+    clip = clip_of("arm", rows, model, 20.0)
+    assert clip.joints == ("elbow", "slider")
+    np.testing.assert_array_equal(clip.joint_positions, [[5, 6], [7, 8]])
+    np.testing.assert_array_equal(clip.root_position, [[1, 2, 3], [1, 2, 3]])
+    np.testing.assert_array_equal(clip.root_orientation, [[1, 0, 0, 0], [0, 1, 0, 0]])

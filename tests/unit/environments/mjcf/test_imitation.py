@@ -60,6 +60,10 @@ def flight(speed: float = 1.0, joints: Sequence[str] = ("elbow",), name: str = "
     )
 
 
+def without_joints() -> Clip:
+    return replace(flight(), joints=(), joint_positions=np.zeros((5, 0)))
+
+
 def follower(
     folder: Path, clips: Sequence[Clip] = (flight(),), reference: Any = None, **given: Any
 ) -> TaskEnv:
@@ -269,6 +273,7 @@ def test_a_mirrored_clip_goes_to_the_other_side(tmp_path: Path) -> None:
     ("clips", "reference", "words"),
     [
         ([flight(joints=("elbow", "tail"))], {}, "is of another body: the model has no joint tail"),
+        ([without_joints()], {}, "moves none of the body's joints"),
         (
             [flight()],
             {"clips": [{"file": FILE, "names": ["walk.*"]}]},
