@@ -1,7 +1,7 @@
 """Metrics as data frames of pandas or polars, imported where one is asked for, or as a line of text."""
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -23,11 +23,30 @@ def maker(as_: str) -> Callable[[Sequence[MetricsRow]], Any]:
         return lambda rows: rows
     if as_ not in ("pandas", "polars"):
         raise ValueError(f"Metrics come as 'rows', 'pandas' or 'polars', not as {as_!r}.")
+    made = package(as_)
+    return lambda rows: made.DataFrame(columns(rows))
+
+
+def package(name: str) -> Any:
+    """The package that makes data frames. Raises MissingExtra where it is not installed."""
     try:
-        package = importlib.import_module(as_)
+        return importlib.import_module(name)
     except ImportError as error:
-        raise MissingExtra(f"Metrics as {as_} need that package: `pip install {as_}`.") from error
-    return lambda rows: package.DataFrame(columns(rows))
+        raise MissingExtra(f"A data frame of {name} needs that package: `pip install {name}`.") from error
+
+
+def errors_over_time(pandas: Any, found: Mapping[str, Any]) -> Any:
+    """The frame of `clip_errors`. found: `over_time` of a battery."""
+    by_clip = dict[str, Any]()
+    for one in found["clips"]:
+        bins = len(one["joints"])
+        times = pandas.Index([one["seconds"] * (bin + 0.5) / bins for bin in range(bins)], name="time_s")
+        parts = {
+            part: pandas.DataFrame(one[part], times, found[part], dtype=float)
+            for part in ("joints", "bodies")
+        }
+        by_clip[one["clip"]] = pandas.concat(parts, axis=1)
+    return pandas.concat(by_clip, names=["clip"])
 
 
 def only(names: Sequence[str], rows: Sequence[MetricsRow]) -> list[MetricsRow]:

@@ -51,7 +51,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
             judged = catalog.make(job.info, job_on(identity).options, engine_builder("native"), clips=files)
             assert isinstance(judged, TaskEnv)  # noqa: S101 - it follows a reference
             rows = spread_over(judged, request["starts"])
-            return followed(judged, policy, rows, seed=request["seed"], close=request["close"])
+            return followed(judged, policy, rows, seed=request["seed"], close=request["close"])[:2]
 
         job = job_on(seen)
         ppo = job.settings_on(request["device"])

@@ -11,10 +11,12 @@ import numpy as np
 from core.algorithms.battery.run import on_the_cpu
 from core.algorithms.trained_policy import TrainedPolicy
 from core.environments.environment import TRUNCATED, State
-from core.environments.reference.playback import Playback
+from core.environments.reference.playback import FRAME, Playback
 from core.environments.task import TaskEnv
 
 _ERRORS = ("root_error", "root_turn_error", "joint_error", "body_error")
+# Equal parts of a clip's time, of which each has its own mean errors; of a short clip fewer.
+BINS = 50
 # Steps between two looks at whether an episode still runs.
 _STEPS_PER_CALL = 50
 
@@ -37,6 +39,18 @@ class Followed:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class ErrorsOverTime:
+    """Mean errors of the steps in each part of a clip's time; NaN where there was no step.
+
+    joints: [bins, joints] in rad, or m of slides; bodies: [bins, bodies] in m: see
+    `TaskEnv.reference_errors`.
+    """
+
+    joints: np.ndarray
+    bodies: np.ndarray
+
+
 def spread_over(environment: TaskEnv, number: int) -> np.ndarray:
     """Rows [number] of the reference's frames at equal distances, none of which is a clip's last frame."""
     frames = _playback(environment).frames
@@ -52,8 +66,9 @@ def followed(
     seed: int,
     close: tuple[float, float] = (0.1, 0.15),
     is_stopped: Callable[[], bool] = lambda: False,
-) -> tuple[Followed, dict[str, Followed]]:
-    """The results of one episode from each of these rows: of all, and by the name of each clip.
+) -> tuple[Followed, dict[str, Followed], dict[str, ErrorsOverTime]]:
+    """The results of one episode from each of these rows: of all, and by the name of each clip, at last over
+    that clip's time.
 
     close: up to which errors of the root, in m, and of the joints, in rad, an episode counts as close.
 
@@ -65,26 +80,39 @@ def followed(
     frames = _playback(environment).frames
     with on_the_cpu():
         begin, advance = _programs(environment, policy)
+        joints, bodies = (len(names) for names in environment.compared)
+        table = jnp.zeros((len(frames.starts) * BINS, 1 + joints + bodies))
         keys = jax.random.split(jax.random.key(seed), len(rows))
         nothing = {name: jnp.zeros(len(rows)) for name in ("steps", "reached", *_ERRORS)}
-        running = (begin(keys, jnp.asarray(rows)), jnp.ones(len(rows)), nothing)
+        running = (begin(keys, jnp.asarray(rows)), jnp.ones(len(rows)), nothing, table)
         for _ in range(0, int(frames.lengths.max()), _STEPS_PER_CALL):
             if is_stopped():
                 break
             running = advance(policy.parameters, running)
         totals = {name: np.asarray(values, float) for name, values in running[2].items()}
+        tables = np.asarray(running[3], float).reshape(len(frames.starts), BINS, -1)
     clip = np.searchsorted(frames.starts, rows, side="right") - 1
     of_clips = {
         name: _result(totals, clip == number, close)
         for number, name in enumerate(frames.names)
         if (clip == number).any()
     }
-    return _result(totals, np.ones(len(rows), bool), close), of_clips
+    over_time = {
+        name: _over_time(table[: _bins(length)], joints)
+        for name, length, table in zip(frames.names, frames.lengths, tables, strict=True)
+    }
+    return _result(totals, np.ones(len(rows), bool), close), of_clips, over_time
 
 
 def _programs(environment: TaskEnv, policy: TrainedPolicy) -> tuple[Any, Any]:
     """Compiled: from keys and rows to states; and from parameters and what runs to that after some steps."""
     acted, act = policy.acting(environment)
+    # No step comes to a clip's first frame.
+    places = [
+        clip * BINS + np.maximum(np.arange(length) - 1, 0) * _bins(length) // (length - 1)
+        for clip, length in enumerate(_playback(environment).frames.lengths)
+    ]
+    bin_of_row = np.concatenate(places).astype(np.int32)
 
     def begin(key: jax.Array, row: jax.Array) -> State:
         return policy.acting(environment.at_frame(row)).environment.reset(key)
@@ -97,15 +125,31 @@ def _programs(environment: TaskEnv, policy: TrainedPolicy) -> tuple[Any, Any]:
         now |= {"steps": jnp.ones(()), "reached": state.info[TRUNCATED]}
         counts = (alive > 0) & ~is_lost
         added = {name: sums[name] + jnp.where(counts, now[name], 0.0) for name in sums}
-        return state, jnp.where(counts & (state.done == 0), 1.0, 0.0), added
+        errors = jnp.concatenate([jnp.ones(1), *environment.reference_errors(state)])
+        place = jnp.asarray(bin_of_row)[state.info[FRAME]]
+        going_on = jnp.where(counts & (state.done == 0), 1.0, 0.0)
+        return (state, going_on, added), (place, jnp.where(counts, errors, 0.0))
 
     def advance(parameters: Any, running: Any) -> Any:
         def one(running: Any, _: None) -> tuple[Any, None]:
-            return jax.vmap(step, (None, 0))(parameters, running), None
+            *episodes, table = running
+            after, (places, errors) = jax.vmap(step, (None, 0))(parameters, tuple(episodes))
+            return (*after, table.at[places].add(errors)), None
 
         return jax.lax.scan(one, running, length=_STEPS_PER_CALL)[0]
 
     return jax.jit(jax.vmap(begin)), jax.jit(advance)
+
+
+def _bins(num_frames: int) -> int:
+    return min(BINS, num_frames - 1)
+
+
+def _over_time(table: np.ndarray, joints: int) -> ErrorsOverTime:
+    """table: [bins, 1 + joints + bodies], sums over steps: of their number, and of the errors."""
+    with np.errstate(invalid="ignore"):
+        means = table[:, 1:] / table[:, :1]
+    return ErrorsOverTime(means[:, :joints], means[:, joints:])
 
 
 def _result(totals: dict[str, np.ndarray], chosen: np.ndarray, close: tuple[float, float]) -> Followed:

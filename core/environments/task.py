@@ -33,7 +33,7 @@ from core.environments.terms.feet import feet_of
 from core.environments.terms.followed import Followed
 from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
-from core.environments.terms.reference import Adaptive, Reference
+from core.environments.terms.reference import Adaptive, Reference, compared_bodies
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.task import (
@@ -325,6 +325,22 @@ class TaskEnv(MujocoEnv):
     def playback(self) -> Playback | None:
         """The reference's frames; None without a reference."""
         return self._playback
+
+    @property
+    def compared(self) -> tuple[Sequence[str], Sequence[str]]:
+        """The names of the joints and of the bodies whose distances `reference_errors` has."""
+        reference, parts = self._options.reference, self._inventory
+        joints = [joint.name for joint in parts.moving_joints()]
+        return joints, [] if reference is None else compared_bodies(reference, parts)
+
+    def reference_errors(self, state: State) -> tuple[jax.Array, jax.Array]:
+        """How far the joints [joints], in rad or m, and the compared bodies [bodies], in m, are from where
+        they are to be in a state, which has all of `FollowedReference`."""
+        nothing, followed = jnp.zeros(self.action_size), self._parts.followed
+        step = Step(state.physics, state.physics, nothing, nothing, self.dt, jnp)
+        step = self._followed_by(step, state.info)
+        away = followed.offsets(step, followed.compared)
+        return jnp.abs(followed.joint_offsets(step)), jnp.linalg.norm(away, axis=-1)
 
     def at_frame(self, row: jax.Array) -> "TaskEnv":
         """The environment whose episodes begin at this row [] int32 of the reference's frames."""

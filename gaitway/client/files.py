@@ -14,7 +14,7 @@ from urllib.parse import urlencode
 
 import httpx
 
-from gaitway import policy
+from gaitway import frames, policy
 from gaitway.addresses import OnBytes, clips_in, models_in, path_of, target
 from gaitway.client.catalog import Catalog
 from gaitway.client.connection import Connection
@@ -195,6 +195,20 @@ class Files(Jobs, Catalog, Downloads):
         with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
             path = self.download(full_id, name, Path(folder))
             return json.loads(path.read_bytes())
+
+    def clip_errors(self, job_id: str, *, seed: int | None = None) -> Any:
+        """How far each joint and body was off over the time of each clip, as a data frame of pandas: a row
+        for each part of a clip's time, by `clip` and `time_s` (its middle); columns are `joints`, in rad, and
+        `bodies`, in m, by name. Without an episode in a part, NaN.
+
+        seed: as `battery`. Raises NotFound without a battery, ValueError where that has no clips, and
+        MissingExtra.
+        """
+        pandas = frames.package("pandas")  # Raises before anything is fetched.
+        found = (self.battery(job_id, seed=seed)).get("over_time")
+        if found is None:
+            raise ValueError(f"The battery of {job_id} has no errors over the time of clips.")
+        return frames.errors_over_time(pandas, found)
 
     def test_policy(self, job_id: str, *, best: bool = False, seed: int | None = None, **battery: Any) -> Job:
         """Submit a rollout that tests the job's policy, and nothing else; its battery comes with its end.

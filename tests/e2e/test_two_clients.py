@@ -1,5 +1,6 @@
 """One contract for both clients: every method against the real service, with the same results."""
 
+import json
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -8,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 
@@ -174,6 +176,17 @@ def _following(stack: Stack, client: Either) -> None:
         client.show(attempt.id)
 
 
+# Two parts of one second each, in the first of which no body was seen.
+BATTERY = {
+    "passed": True,
+    "over_time": {
+        "joints": ["knee"],
+        "bodies": ["shin"],
+        "clips": [{"clip": "walk", "seconds": 2.0, "joints": [[0.25], [0.5]], "bodies": [[None], [0.1]]}],
+    },
+}
+
+
 def _files(stack: Stack, client: Either, folder: Path) -> None:
     attempt = Attempt(stack, job("019aa3c2f0b2-5be0c1d2e4"))
     networks = make_networks(3, 2, PPOSpec.model_validate({"policy_hidden_layer_sizes": [4]}))
@@ -186,13 +199,16 @@ def _files(stack: Stack, client: Either, folder: Path) -> None:
     attempt.keep("video.mp4", step=5)
     attempt.keep("poster.png", b"still", role="poster")
     attempt.keep("recording.h5", b"HDF", role="recording", media_type="application/x-hdf5")
-    attempt.keep("battery.json", b'{"passed": true}', role="battery")
+    attempt.keep("battery.json", json.dumps(BATTERY).encode(), role="battery")
     attempt.end()
     names = {found.name for found in client.artifacts(attempt.id)}
     pictures = {"video.mp4", "poster.png"}
     assert names == {"policy", "policy.npz", "step-5.ckpt", *pictures, "recording.h5", "battery.json"}
     assert client.recording(attempt.id, folder).read_bytes() == b"HDF"
-    assert client.battery(attempt.id) == {"passed": True}
+    assert client.battery(attempt.id) == BATTERY
+    errors = client.clip_errors(attempt.id)
+    assert errors.loc["walk", "joints"]["knee"].to_dict() == {0.5: 0.25, 1.5: 0.5}
+    assert np.isnan(errors.loc[("walk", 0.5), ("bodies", "shin")])
     with pytest.raises(Rejected) as caught:  # Its body follows no commands.
         client.test_policy(attempt.id)
     assert [error.pointer for error in caught.value.errors] == ["/battery"]

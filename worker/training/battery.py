@@ -126,4 +126,4 @@ def _shown(facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _as_json(document: dict[str, Any]) -> bytes:
-    return json.dumps(document, indent=2, allow_nan=False).encode()
+    return json.dumps(document, allow_nan=False).encode()

@@ -1,16 +1,24 @@
 """The battery of a policy that follows clips: every clip from many moments, in C MuJoCo, on the CPU."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from core.algorithms.battery.result import BatteryResult, ClipResult, judged_by_clips
+from core.algorithms.battery.result import (
+    MOST_NUMBERS,
+    BatteryResult,
+    ClipErrors,
+    ClipResult,
+    OverTime,
+    Table,
+    judged_by_clips,
+)
 from core.algorithms.battery.run import on_the_cpu
 from core.algorithms.battery.spec import BatterySpec, battery_options
-from core.algorithms.following import Followed, followed
+from core.algorithms.following import BINS, ErrorsOverTime, Followed, followed
 from core.algorithms.trained_policy import TrainedPolicy
 from core.environments.task import TaskEnv
 from core.environments.terms.task import TaskOptions
@@ -43,18 +51,38 @@ class ClipBattery:
         found = followed(self._environment, policy, self._rows, seed=seed, is_stopped=is_stopped)
         if is_stopped():
             return None
-        whole, clips = found
+        whole, clips, over_time = found
+        rows = [_row(name, one) for name, one in clips.items()]
         passed, criteria = judged_by_clips(_row("", whole), self._spec.bounds)
         return BatteryResult(
             passed=passed,
             criteria=criteria,
             commands=[],
-            clips=[_row(name, one) for name, one in clips.items()],
+            clips=rows,
+            over_time=self._over_time(rows, over_time),
             spec=self._spec,
             seed=seed,
             engine="native",
             legs=[],
             took_s=time.perf_counter() - began,
+        )
+
+    def _over_time(self, rows: list[ClipResult], found: Mapping[str, ErrorsOverTime]) -> OverTime:
+        joints, bodies = self._environment.compared
+        most = max(1, MOST_NUMBERS // (BINS * (len(joints) + len(bodies))))
+        worst = sorted(rows, key=lambda row: (row.reached, -row.joint_error))[:most]
+        kept = {row.clip for row in worst}
+        seconds = {one.name: (one.num_frames - 1) * self._environment.dt for one in self._environment.clips}
+        return OverTime(
+            joints=[*joints],
+            bodies=[*bodies],
+            clips=[
+                ClipErrors(
+                    clip=name, seconds=seconds[name], joints=_table(one.joints), bodies=_table(one.bodies)
+                )
+                for name, one in found.items()
+                if name in kept
+            ],
         )
 
 
@@ -70,6 +98,11 @@ def spread(environment: TaskEnv, starts: int) -> np.ndarray:
         for first, length in zip(frames.starts, frames.lengths, strict=True)
     ]
     return np.concatenate(rows).astype(np.int32)
+
+
+def _table(means: np.ndarray) -> Table:
+    """Rounded to 0.01 mrad or mm."""
+    return [[None if np.isnan(one) else round(one, 5) for one in row] for row in means.tolist()]
 
 
 def _row(name: str, found: Followed) -> ClipResult:

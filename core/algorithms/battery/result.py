@@ -27,6 +27,8 @@ SMOOTHNESS: tuple[Quantity, ...] = (
     "yaw_rate",
     "leg_velocity",
 )
+# In the tables over the clips' time: 2.5 MB as text.
+MOST_NUMBERS = 300_000
 # By what a policy that follows clips is judged.
 OF_CLIPS: tuple[Quantity, ...] = ("reached", "root_error", "joint_error")
 
@@ -67,6 +69,29 @@ class ClipResult(Stored):
     body_error: float
 
 
+# Rows are parts of a clip's time of equal length, columns joints or bodies; None where no episode was.
+Table = list[list[float | None]]
+
+
+class ClipErrors(Stored):
+    """How far joints, in rad (slides in m), and bodies, in m, were off in each part of a clip: the means over
+    the steps of all episodes. The table of bodies is about the reference's anchor, as `body_error` is."""
+
+    clip: str
+    seconds: float
+    joints: Table
+    bodies: Table
+
+
+class OverTime(Stored):
+    """joints, bodies: the names of the columns. clips: of more than `MOST_NUMBERS` allows, those of which
+    fewest episodes came to the end, and of equal ones those whose joints were furthest off."""
+
+    joints: list[str]
+    bodies: list[str]
+    clips: list[ClipErrors]
+
+
 class Criterion(Stored):
     """A quantity, its bound, and whether the policy holds it. `falls` and `reached` are shares of all
     episodes."""
@@ -80,13 +105,14 @@ class Criterion(Stored):
 class BatteryResult(Stored):
     """passed: whether every criterion is met. took_s: seconds that its episodes took. legs: their joints.
 
-    commands, clips: one of the two is empty.
+    commands, clips: one of the two is empty. over_time: of clips.
     """
 
     passed: bool
     criteria: list[Criterion]
     commands: list[CommandResult]
     clips: list[ClipResult] = []
+    over_time: OverTime | None = None
     spec: BatterySpec
     seed: int
     engine: str

@@ -3,6 +3,7 @@
 import { count, value } from "../../lib/format.js";
 import { html } from "../../lib/html.js";
 import { newest } from "../../lib/job.js";
+import { ClipErrors } from "./clip_errors.js";
 
 const SMOOTHNESS = ["action_change", "target_change", "torso_rate", "yaw_rate", "leg_velocity"];
 const NAMES = {
@@ -34,6 +35,7 @@ export function Battery({ job }) {
         <span class="facts"> ${isLeast(one.quantity) ? "at least" : "at most"} ${isShare(one.quantity) ? percent(one.bound) : value(one.bound)}</span></li>`,
     )}</ul>
     ${isOfClips ? html`<${Clips} clips=${clips} />` : html`<${Commands} commands=${commands} />`}
+    ${isOfClips && html`<${ClipErrors} file=${file} />`}
     <p class="facts">In C MuJoCo with the model's own solver, ${isOfClips ? "each clip to its end" : `${value(spec?.seconds)} s each`}${spec?.push ? ", with pushes" : ""}. <a href=${file.href} download=${file.name}>All of it</a></p>
   </section>`;
 }
