@@ -16,10 +16,14 @@ import matplotlib.pyplot as plt
 
 
 def principal_components(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows [T, n] along their two directions of most variance [T, 2], and each one's share of it all."""
+    """Rows [T, n] along their two directions of most variance [T, 2], and each one's share of it all.
+
+    The greatest number of a direction is positive, as in the picture on the job's page.
+    """
     values = np.column_stack([values, np.zeros(len(values))])  # One number alone has no second direction.
     centred = values - values.mean(axis=0)
     _, deviations, directions = np.linalg.svd(centred, full_matrices=False)
+    directions *= np.sign([[row[np.argmax(np.abs(row))]] for row in directions])
     return centred @ directions[:2].T, deviations[:2] ** 2 / max(np.sum(deviations**2), 1e-12)
 
 

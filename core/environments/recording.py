@@ -139,10 +139,7 @@ class RecordingWriter:
         }
         states["body_position"] = body_positions(self._model, episode.qpos)
         if episode.reference_frame is not None:
-            first = np.array([clip.first_frame for clip in self._clips])
-            clip = np.searchsorted(first, episode.reference_frame, side="right") - 1
-            states["clip"] = clip.astype(np.int32)
-            states["clip_frame"] = (episode.reference_frame - first[clip]).astype(np.int32)
+            states["clip"], states["clip_frame"] = clips_at(self._clips, episode.reference_frame)
         return states
 
     def _keep(self, group: Any, name: str, values: NDArray[Any], quantity: Quantity, time: str) -> None:
@@ -173,6 +170,15 @@ class RecordingWriter:
                 scale = self._file.create_dataset(f"{place}/{kind}", data=np.array(texts, object), dtype=text)
                 scale.make_scale(place)
                 self._scales[kind].append(scale)
+
+
+def clips_at(
+    clips: Sequence[FollowedClip], reference_frame: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The number of the clip, and the frame of that clip, of each frame of the reference; [T] each."""
+    first = np.array([clip.first_frame for clip in clips])
+    clip = np.searchsorted(first, reference_frame, side="right") - 1
+    return clip.astype(np.int32), (reference_frame - first[clip]).astype(np.int32)
 
 
 def body_positions(model: mujoco.MjModel, qpos: NDArray[np.float32]) -> NDArray[np.float32]:

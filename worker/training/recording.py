@@ -1,5 +1,6 @@
-"""A rollout's `recording.h5`: its episodes with the activations of the policy's layers."""
+"""A rollout's `recording.h5`: its episodes with the activations of the policy's layers, and its picture."""
 
+import json
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 
 from core.algorithms.activations import ActivationReader
 from core.algorithms.export.network import NotExportable
+from core.algorithms.latent import LatentPoints, plotted_layer
 from core.environments.environment import Environment
 from core.environments.info import POLICY_GROUP
 from core.environments.recording import RecordingWriter
@@ -23,6 +25,8 @@ from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 
 NAME = "recording.h5"
+# Its layer that is looked at first, in two dimensions; of the same role, so that it goes with it.
+LATENT = "latent.json"
 
 
 @contextmanager
@@ -51,6 +55,10 @@ def recorded(
         clips_of(built.environment),
         _about(task, spec, built, reader),
     )
+    layers = [] if reader is None else list(reader.sizes)
+    layer = plotted_layer(chosen, layers)
+    num_steps = spec.num_steps * spec.num_episodes
+    points = None if layer is None else LatentPoints(layer, num_steps, clips_of(built.environment))
     with writer:
 
         def record(episode: Episode) -> None:
@@ -58,11 +66,15 @@ def recorded(
             if reader is not None and chosen:
                 keys = np.asarray(action_keys(key, writer.num_episodes, spec.num_steps))
                 values = reader.read(episode.observation[:-1], keys[: episode.num_steps], chosen)
+            if points is not None:
+                points.add(episode, values[points.layer])
             writer.add(episode, values)
 
         yield record
     facts: dict[str, Any] = {"episodes": writer.num_episodes, "layers": chosen}
     events.hand_over(NAME, "recording", "application/x-hdf5", metadata=facts)
+    if points is not None and (found := points.document()) is not None:
+        events.keep(LATENT, json.dumps(found, allow_nan=False).encode(), "recording", "application/json")
 
 
 def _reader(

@@ -1,5 +1,6 @@
 """One job: live, through losses of the service, and after its end."""
 
+import json
 import re
 from datetime import timedelta
 from typing import Any
@@ -340,22 +341,70 @@ def test_a_battery_is_shown_with_its_verdict(tab: Tab, attempt: Attempt) -> None
     assert tab.violations() == []
 
 
+def over_time(*clips: str) -> dict[str, Any]:
+    """Errors that rise over 4 s; no episode was in the first part of the second clip."""
+    names = {"joints": ["left_knee", "right_knee_with_a_long_name"], "bodies": ["torso"]}
+    rising = [[number / 100, number / 200] for number in range(50)]
+    lacking = [[None, None], *rising[1:]]
+    found = [
+        {"clip": name, "seconds": 4.0, "joints": rows, "bodies": [row[:1] for row in rows]}
+        for name, rows in zip(clips, (rising, lacking), strict=True)
+    ]
+    return {**names, "clips": found}
+
+
 @pytest.mark.extra
 def test_a_battery_of_clips_is_shown_clip_by_clip(tab: Tab, attempt: Attempt) -> None:
     row = {"clip": "carries a box", "episodes": 32, "reached": 0.75, "root_error": 0.081, "joint_error": 0.12}
     reached = {"quantity": "reached", "value": 0.75, "bound": 0.95, "met": False}
     of_clips = {"commands": [], "clips": [row], "spec": {"seconds": 8, "push": None}}
     facts = {"passed": False, "criteria": [reached], **of_clips}
-    attempt.keep("battery.json", b"{}", role="battery", media_type="application/json", metadata=facts)
+    whole = {**facts, "over_time": over_time("carries a box", "turns")}
+    attempt.keep(
+        "battery.json",
+        json.dumps(whole).encode(),
+        role="battery",
+        media_type="application/json",
+        metadata=facts,
+    )
     page = tab.open(f"#/jobs/{attempt.id}")
     section = page.get_by_role("region", name="Battery", exact=True)
-    expect(section.get_by_role("listitem")).to_have_text(re.compile(r"✗ To the end: 75 %\s+at least 95 %"))
+    expect(section.get_by_role("listitem").first).to_have_text(
+        re.compile(r"✗ To the end: 75 %\s+at least 95 %")
+    )
     expect(section.get_by_role("row").nth(1)).to_have_text(
         re.compile(r"carries a box\s*75 % of 32\s*0.081\s*0.120")
     )
     expect(section).to_contain_text("each clip to its end")
+    joints = section.get_by_role("group", name="Joints, rad")
+    # The mean of 0, 0.01, …, 0.49 is 0.245; of the second joint half of that.
+    expect(joints.get_by_role("listitem")).to_have_text(
+        ["left_knee0.245", "right_knee_with_a_long_name0.1225"]
+    )
+    joints.locator("rect[data-bin='10'][data-column='1']").hover()
+    expect(joints.get_by_role("status")).to_have_text("right_knee_with_a_long_name, 0.80 to 0.88 s: 0.05 rad")
+    section.get_by_label("Clip", exact=True).select_option("turns")
+    section.locator("rect[data-bin='0'][data-column='0']").first.hover()
+    expect(joints.get_by_role("status")).to_contain_text("no episode was there")
+    assert flaws(page) == []
     tab.picture("battery-clips")
-    assert tab.violations() == []
+
+
+@pytest.mark.extra
+def test_the_latent_space_is_drawn_by_share_and_by_clip(tab: Tab, attempt: Attempt) -> None:
+    where = {"episode": [0, 0, 1], "time_s": [0.0, 0.5, 0.0], "clip": [0, 0, 1], "share": [0.0, 0.5, 0.0]}
+    plane = {"layer": "latent/mean", "size": 60, "variance": [0.6, 0.25], "clips": ["walk", "turn"]}
+    found = {**plane, "x": [-1.0, 0.0, 1.0], "y": [0.5, -1.0, 0.5], **where}
+    content = json.dumps(found).encode()
+    attempt.keep("latent.json", content, role="recording", media_type="application/json")
+    page = tab.open(f"#/jobs/{attempt.id}")
+    section = page.get_by_role("region", name="Latent space")
+    said = "3 steps of latent/mean; across component 1, 60 % of the variance, up component 2, 25 % of the"
+    expect(section.get_by_role("img", name=said)).to_be_visible()
+    section.get_by_label("Colour", exact=True).select_option("Clip")
+    expect(section.get_by_role("listitem")).to_have_text(["walk", "turn"])
+    assert flaws(page) == []
+    tab.picture("job-latent")
 
 
 @pytest.mark.extra

@@ -16,6 +16,7 @@ import { Films } from "../../parts/films.js";
 import { Failure, Prose } from "../../parts/elements.js";
 import { Battery } from "./battery.js";
 import { Costs } from "./costs.js";
+import { Latent } from "./latent.js";
 import { NewestReplay, replaysOf } from "./replay.js";
 
 const TOLD_EVERY_MS = 3000;
@@ -37,6 +38,7 @@ export function OverviewTab({ job, query, onMetrics, onPhase }) {
       <${Costs} job=${job} onPhase=${onPhase} />
     </div>
     <${Battery} job=${job} />
+    <${Latent} job=${job} />
     <${Attempts} job=${job} />
     <${Told} job=${job} />
   </div>`;

@@ -1,5 +1,6 @@
 """A rollout's recording: what it stores is what the network's formula makes of the stored observations."""
 
+import json
 import os
 import runpy
 from pathlib import Path
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 
 from core.algorithms.export.network import network_of
+from core.algorithms.latent import LatentPoints, plotted_layer
 from core.algorithms.ppo.spec import PPOSpec
+from core.environments.trajectory import Episode, FollowedClip
 from core.errors import JobFailed
 from core.jobs.spec import JOB_SPEC, RolloutSpec
 from tests.exports import policy_file
@@ -28,6 +31,7 @@ SETTINGS = PPOSpec.model_validate(
     }
 )
 SEEN = np.random.default_rng(0).normal(0, 0.1, (50, 4)).astype(np.float32)
+EXAMPLE = runpy.run_path(str(Path(__file__).parents[4] / "examples" / "plot_recording.py"))
 POLICY = {"kind": "checkpoint", "job": "019aa3c2f0b1-5be0c1d2e3"}
 
 
@@ -52,7 +56,7 @@ def rolled_out(folder: Path, **own: Any) -> FileReady:
         finally:
             events._pipe.close()
         said = [MESSAGE.validate_json(line) for line in pipe]
-    [kept] = [one for one in said if isinstance(one, FileReady) and one.role == "recording"]
+    [kept] = [one for one in said if isinstance(one, FileReady) and one.name == "recording.h5"]
     return kept
 
 
@@ -90,17 +94,58 @@ def test_activations_are_the_formula_of_the_stored_observations(whole: tuple[Pat
             np.testing.assert_allclose(np.tanh(location), episode["action"], rtol=0, atol=1e-5)
 
 
+def test_the_plane_of_the_intention_is_kept_beside_it(whole: tuple[Path, FileReady]) -> None:
+    recording, _ = whole
+    found = json.loads((recording.parent / "latent.json").read_bytes())
+    with opened(recording) as file:
+        mean = np.concatenate([file[f"episode_{number}/activations/latent/mean"] for number in (0, 1)])
+        steps = [file[f"episode_{number}"].attrs["num_steps"] for number in (0, 1)]
+    assert (found["layer"], found["size"], found["clips"]) == ("latent/mean", 2, [])
+    assert found["episode"] == [0] * steps[0] + [1] * steps[1]
+    # Two numbers have all of their variance in the plane; their covariance says how it is shared.
+    variances = np.sort(np.linalg.eigvalsh(np.cov(mean.T)))[::-1]
+    np.testing.assert_allclose(found["variance"], variances / variances.sum(), atol=1e-4)
+    np.testing.assert_allclose(np.var([found["x"], found["y"]], axis=1, ddof=1), variances, rtol=0.01)
+    points, _ = EXAMPLE["principal_components"](mean)
+    np.testing.assert_allclose(np.transpose([found["x"], found["y"]]), points, atol=1e-4)
+
+
+def test_a_perceptron_is_looked_at_by_its_last_hidden_layer() -> None:
+    layers = ["policy/0", "policy/1", "policy/2"]
+    assert plotted_layer(layers, layers) == "policy/1"
+    assert plotted_layer(["policy/0", "policy/2"], layers) is None
+    assert plotted_layer([], []) is None
+
+
+def test_many_steps_become_few_points_that_know_their_clip() -> None:
+    clips = [FollowedClip("a", 0, 3000), FollowedClip("b", 3000, 2000)]
+    times = np.arange(5001) * 0.02
+    names = ("qpos", "qvel", "position", "observation", "action", "reward")
+    arrays: dict[str, Any] = dict.fromkeys(names, np.zeros(5000))
+    arrays |= {"time": times, "reference_frame": np.arange(5001)}
+    episode = Episode(terminated=False, **arrays)
+    points = LatentPoints("latent/mean", 5000, clips)
+    points.add(episode, np.stack([times[:-1], 0 * times[:-1]], axis=1).astype(np.float32))
+    found = points.document()
+    assert found is not None
+    # Every third step. All variance is in time, whose mean is 49.99 s.
+    assert (len(found["x"]), found["variance"]) == (1667, [1.0, 0.0])
+    assert (found["x"][0], found["y"][0]) == (pytest.approx(-49.99, abs=0.03), 0.0)
+    # Frames 2,499 and 3,999: of the first clip 0.833 are over, and of the second 0.4995.
+    assert [found[name][833] for name in ("clip", "share")] == [0, 0.833]
+    assert [found[name][1333] for name in ("clip", "share")] == [1, 0.5]
+
+
 def test_the_example_draws_a_layer(whole: tuple[Path, FileReady], tmp_path: Path) -> None:
     recording, _ = whole
-    example = runpy.run_path(str(Path(__file__).parents[4] / "examples" / "plot_recording.py"))
-    example["plot"](recording, tmp_path / "encoder.png", "encoder/0")
+    EXAMPLE["plot"](recording, tmp_path / "encoder.png", "encoder/0")
     assert (tmp_path / "encoder.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(SystemExit, match="no layer 'policy/0'; there are decoder/0, decoder/1, encoder/0, "):
-        example["plot"](recording, tmp_path / "none.png", "policy/0")
+        EXAMPLE["plot"](recording, tmp_path / "none.png", "policy/0")
     # A rhythm of 2 Hz, of which both joints have a part: a turn takes half a second.
     seconds = np.arange(400) * 0.01
     joints = np.stack([np.sin(4 * np.pi * seconds), np.cos(4 * np.pi * seconds - 1)], axis=1)
-    phase = example["gait_phase"](joints, 0.01)
+    phase = EXAMPLE["gait_phase"](joints, 0.01)
     np.testing.assert_allclose(np.diff(np.unwrap(phase, period=1)), 0.02, atol=1e-6)
 
 
