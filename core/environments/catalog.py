@@ -28,8 +28,7 @@ from core.environments.locomotion.reacher.info import INFO as REACHER
 from core.environments.mjcf.info import INFO as MJCF
 from core.environments.plugins import Plugin, installed, named_in, why_unknown
 from core.environments.robots.info import INFOS as ROBOTS
-from core.environments.terms.actions import DecoderAction, of_the_body
-from core.environments.terms.task import TaskOptions
+from core.environments.terms.actions import DecoderAction
 from core.errors import EnvironmentNotFound, Problem, Rejected
 from core.nearest import nearest
 
@@ -148,15 +147,15 @@ def make(
     reference, by id. decoder: the exported policy whose decoder acts. Raises JobFailed where the environment
     cannot be made.
     """
-    if isinstance(options, TaskOptions) and isinstance(options.action, DecoderAction):
-        behind_decoder = import_module("core.environments.wrappers.decoded").behind_decoder
-        inner = options.model_copy(update={"action": of_the_body(options.action)})
-        return behind_decoder(make(info, inner, build_engine, model, clips), inner, options.action, decoder)
     module, _, function = info.factory.partition(":")
     factory = getattr(import_module(module), function)
     own = {**info.arguments, **({"model": model} if info.takes_model else {})}
     own |= {"clips": clips} if clips else {}
-    return cast("Environment", factory(options, build_engine, **own))
+    environment = cast("Environment", factory(options, build_engine, **own))
+    action = getattr(options, "action", None)
+    if not isinstance(action, DecoderAction):
+        return environment
+    return import_module("core.environments.wrappers.decoded").behind_decoder(environment, action, decoder)
 
 
 def _place(error: Mapping[str, Any], options: object) -> tuple[int | str, ...]:

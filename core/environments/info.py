@@ -129,6 +129,7 @@ class EnvironmentInfo:
     arguments: further arguments of the factory. on_a_cpu, on_a_gpu: the engine that `auto` takes there, by
     the first rule that fits; `native` on a CPU and `mjx` on a GPU if none fits. cannot_run: engines that
     cannot run it, and why.
+    decoders_of: the environment whose body it has, so that a decoder of its trainings fits; None: its own.
     package: what it imports that a worker may lack, by its import name.
     own_physics: what steps it if no engine does; its model cannot be randomized.
     has_curriculum: whether its fresh starts change while a run trains. curriculum_option: its place among
@@ -163,6 +164,7 @@ class EnvironmentInfo:
     on_a_cpu: tuple[Rule, ...] = ()
     on_a_gpu: tuple[Rule, ...] = ()
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
+    decoders_of: str | None = None
     package: str | None = None
     own_physics: str = ""
     has_curriculum: bool = False

@@ -24,7 +24,14 @@ from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times, history
-from core.environments.terms.actions import ActionTerm, AnyAction, ControlAction, JointAction, PositionPart
+from core.environments.terms.actions import (
+    ActionTerm,
+    AnyAction,
+    ControlAction,
+    JointAction,
+    PositionPart,
+    of_the_body,
+)
 from core.environments.terms.actuation import actuation, joint_names
 from core.environments.terms.binding import BoundTerm, bound
 from core.environments.terms.commands import CommandTerm, PositionCommand, VelocityCommand
@@ -33,6 +40,7 @@ from core.environments.terms.feet import feet_of
 from core.environments.terms.followed import Followed
 from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
+from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.reference import Adaptive, Reference, compared_bodies
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
@@ -91,6 +99,8 @@ class TaskEnv(MujocoEnv):
         settings: TaskSettings | None = None,
     ) -> None:
         settings = settings or TaskSettings(solver_settings(options))
+        # A decoder stands outside: see `core.environments.wrappers.decoded`.
+        options = options.model_copy(update={"action": of_the_body(options.action)})
         root = model.body(options.root).id if options.root else root_of(model)
         start = _start(model, options)
         self._actuation = None
@@ -480,6 +490,17 @@ class TaskEnv(MujocoEnv):
     def inventory(self) -> Inventory:
         """The model's parts."""
         return self._inventory
+
+    def places_of(self, terms: Sequence[ObservationTerm]) -> np.ndarray:
+        parts, found, start = parts_of(self._options, self._inventory), list[np.ndarray](), 0
+        has = list[tuple[ObservationTerm, np.ndarray]]()
+        for term in observed(self._options):
+            end = start + sum(part.size for part in term.slices_of_history(parts))
+            has.append((term, np.arange(start, end)))
+            start = end
+        for term in terms:
+            found += [places for one, places in has if one == term][:1]
+        return np.concatenate([*found, np.array([], int)])
 
     def simulation(self) -> Simulation:
         if self._playback is not None:

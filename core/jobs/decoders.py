@@ -10,12 +10,14 @@ from typing import Any, cast
 from core.algorithms.catalog import reported
 from core.algorithms.ppo.network_spec import IntentionNetwork
 from core.algorithms.ppo.spec import PPOSpec
-from core.environments.info import POLICY_GROUP
+from core.documents import Strict
+from core.environments.info import POLICY_GROUP, EnvironmentInfo
 from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.terms.actions import ActionTerm, DecoderAction
 from core.environments.terms.inventory import Inventory, inventory_of
 from core.environments.terms.observations import ObservationTerm
+from core.environments.terms.page import task_of
 from core.environments.terms.task import TaskOptions, observed, parts_of
 from core.errors import JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.job import Artifact, Job
@@ -46,26 +48,27 @@ def with_decoder(spec: JobSpec, store: JobStore, readable: Collection[str] | Non
     """
     if decoder_job(spec.environment) is None:
         return spec
-    _, options = resolve_environment(spec.environment)
-    if not isinstance(options, TaskOptions) or not isinstance(options.action, DecoderAction):
+    info, options = resolve_environment(spec.environment)
+    action = getattr(options, "action", None)
+    if not isinstance(action, DecoderAction):
         return spec  # The check of the options has refused it, or will.
-    action = options.action
     check_readable_decoder(spec.environment, readable, store)
     source = _source(action.job, store)
     network, had = _network_of(source), _task_of(source)
     if decoder_file(spec.environment, source) is None:
         raise _refusal(f"Job {source.id} has no exported policy of this kind any more.", "which")
-    _check_same_body(spec.environment, options, source, had)
-    if "reference" in had.action.needed and options.reference is None:
+    _check_same_body(info, options, source, had)
+    if "reference" in had.action.needed and getattr(options, "reference", None) is None:
         raise _refusal(
             f'Job {source.id} was trained with `about`: "reference", so its action is about where a clip has '
             'the joints, and this task has no `reference`. With "pose" a training makes a decoder for other '
             "tasks.",
             "job",
         )
-    model = _model(spec.environment, options, store)
+    model = _model(source.spec.environment, had, store)
     sees = [term.model_dump(mode="json") for term in _seen_by_decoder(had, network, model)]
-    _check_sees(sees, options, action.job)
+    if isinstance(options, TaskOptions):  # Others have what the decoder sees: see `terms.lent`.
+        _check_sees(sees, options, action.job)
     found = {"latent": network.latent, "sees": sees, "moves": had.action.model_dump(mode="json")}
     said = action.model_dump(mode="json")
     for name in _FILLED_IN:
@@ -132,28 +135,28 @@ def _network_of(source: Job) -> IntentionNetwork:
 
 def _task_of(source: Job) -> TaskOptions:
     """What the job's body did. Raises Rejected where no terms say so, or another decoder acted."""
-    _, options = resolve_environment(source.spec.environment)
-    if not isinstance(options, TaskOptions) or isinstance(options.action, ActionTerm | DecoderAction):
+    task = task_of(*resolve_environment(source.spec.environment))
+    if task is None or isinstance(task.action, ActionTerm | DecoderAction):
         raise _refusal(
             f"The action of job {source.id} is not one that a decoder can give: take a job whose task is "
             "made of terms, and whose action is `control` or of joints.",
             "job",
         )
-    return options
+    return task
 
 
-def _check_same_body(
-    environment: EnvironmentSpec, options: TaskOptions, source: Job, had: TaskOptions
-) -> None:
+def _check_same_body(info: EnvironmentInfo, options: Strict, source: Job, had: TaskOptions) -> None:
     """Refuse another body, another pose or another control step than that with which the decoder was
     trained."""
     there = source.spec.environment
-    if environment.id != there.id:
-        raise _refusal(f"Job {source.id} trained {there.id!r}, and this task has {environment.id!r}.", "job")
-    here, before = (one.model_dump(mode="json") for one in (options, had))
-    names = [name for name in _OF_THE_BODY if here.get(name) != before.get(name)]
-    names += [f"reset.{name}" for name in _OF_THE_POSE if here["reset"][name] != before["reset"][name]]
-    names += [name for name in ("n_frames", "timestep") if here[name] != before[name]]
+    if there.id != (info.decoders_of or info.id):
+        raise _refusal(f"Job {source.id} trained {there.id!r}, and this task has {info.id!r}.", "job")
+    task = task_of(info, options)
+    here, before = (one.model_dump(mode="json") for one in (task or options, had))
+    names = [name for name in ("n_frames", "timestep") if here[name] != before[name]]
+    if task is not None:
+        names += [name for name in _OF_THE_BODY if here.get(name) != before.get(name)]
+        names += [f"reset.{name}" for name in _OF_THE_POSE if here["reset"][name] != before["reset"][name]]
     if names:
         raise _refusal(
             f"The decoder of job {source.id} was trained with another {', '.join(names)}: take the same.",

@@ -38,7 +38,7 @@ def trained(store: PostgresJobStore, at_s: int = 0, **changes: Any) -> Job:
     algorithm = {"kind": "ppo", **({"network": said["network"]} if said["network"] else {})}
     algorithm |= said.get("algorithm", {})
     for choice in said["environment"]["options"].get("reference", {}).get("clips", []):
-        store.clips.add(clip_file(choice["file"]))
+        store.clips.add(clip_file(choice["file"], body=said["environment"]["id"]))
     job = held(store, queued_job(at_s, environment=said["environment"], algorithm=algorithm))
     info, _ = catalog.resolve(job.spec.environment.id, job.spec.environment.options)
     spec: Any = job.spec
@@ -78,6 +78,47 @@ def test_a_submission_fills_in_what_the_decoder_is(job_store: PostgresJobStore) 
     assert (part.name, part.low, part.high) == ("intention", -2.0, 2.0)
     # What was filled in can be sent again.
     assert new_job(job.spec, job_store).spec == job.spec
+
+
+FOLLOWS: dict[str, Any] = {"task": "imitate", "reference": {"clips": [{"file": "sha256:" + "1" * 64}]}}
+# Of what decoders of the catalog's bodies see, the rat alone has filters behind its servos.
+SEEN = [
+    *("base_linear_velocity", "base_angular_velocity", "projected_gravity", "joint_positions"),
+    *("joint_velocities", "previous_action"),
+]
+
+
+@pytest.mark.parametrize(
+    ("body", "imitates", "environment", "task", "sees"),
+    [
+        ("rodent", {}, "rodent", {}, [*SEEN, "act"]),
+        ("rodent", {}, "corridor", {"walker": "rodent"}, [*SEEN, "act"]),
+        ("humanoid", {}, "humanoid", {}, SEEN),
+        ("g1", {"action": {"kind": "joint_position", "about": "pose"}}, "g1", {}, SEEN),
+    ],
+    ids=["rodent", "corridor", "humanoid", "g1"],
+)
+def test_a_body_that_imitated_lends_its_decoder_to_its_other_tasks(
+    job_store: PostgresJobStore,
+    body: str,
+    imitates: dict[str, Any],
+    environment: str,
+    task: dict[str, Any],
+    sees: list[str],
+) -> None:
+    network = {"kind": "intention", "latent": 7}
+    source = trained(job_store, environment={"id": body, "options": {**FOLLOWS, **imitates}}, network=network)
+    options = {**task, "action": {"kind": "decoder", "job": source.id}}
+    sent = {"kind": "train", "environment": {"id": environment, "options": options}}
+    job = new_job(JOB_SPEC.validate_python(sent), job_store)
+    action: Any = job.spec.environment.options["action"]
+    assert [term["kind"] for term in action["sees"]] == sees
+    info, _ = catalog.resolve(environment, job.spec.environment.options)
+    plain, _ = catalog.resolve(environment, task)
+    assert info.spaces.action_size == 7
+    # The G1's walk sees all of that anyway.
+    more = (info.spaces.observation_size) - plain.spaces.observation_size
+    assert (more > 0) == (environment != "g1")
 
 
 def test_the_job_is_kept_until_those_that_need_its_decoder_have_ended(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -36,7 +37,7 @@ from tests import probes
 from tests.learning.dqn_runs import STEPS_PER_UPDATE as DQN_STEPS_PER_UPDATE
 from tests.learning.dqn_runs import dqn_run, dqn_settings
 from tests.learning.q_probes import q_settings
-from tests.learning.runs import STEPS_PER_UPDATE, small_run, small_settings
+from tests.learning.runs import INTENTION, STEPS_PER_UPDATE, small_run, small_settings
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
 from tests.learning.sac_runs import sac_run, sac_settings
 
@@ -51,16 +52,23 @@ class Case:
     begin: Callable[..., Run[Any]]
     update: int
     format: Format
+    num_updates: int = 6
 
     @property
     def budget(self) -> dict[str, Any]:
-        """Six updates with an evaluation after the third and the last."""
-        return {"num_timesteps": 6 * self.update, "num_evals": 2, "episode_length": 5}
+        """The updates, with an evaluation in the middle and after the last."""
+        return {"num_timesteps": self.num_updates * self.update, "num_evals": 2, "episode_length": 5}
 
 
 PPO = Case(small_settings, small_run, STEPS_PER_UPDATE, PPO_FORMAT)
 SAC = Case(sac_settings, sac_run, SAC_STEPS_PER_UPDATE, SAC_FORMAT)
 DQN = Case(dqn_settings, dqn_run, DQN_STEPS_PER_UPDATE, DQN_FORMAT)
+PPO_OF_INTENTIONS = replace(
+    PPO,
+    settings=partial(small_settings, network=INTENTION),
+    begin=partial(small_run, network=INTENTION),
+    num_updates=2,  # Rounding grows faster with two networks in a row.
+)
 SEEDS = [0, 3, 1]
 
 
@@ -91,8 +99,9 @@ def ant(engine: Any) -> Environment:
         (DQN, probes.endless),
         (PPO, lambda: ant("compiled")),
         (PPO, lambda: ant("native")),
+        (PPO_OF_INTENTIONS, probes.intention),
     ],
-    ids=["ppo", "sac", "dqn", "ppo-compiled", "ppo-native"],
+    ids=["ppo", "sac", "dqn", "ppo-compiled", "ppo-native", "ppo-intention"],
 )
 def test_each_seed_is_trained_as_it_would_be_alone(
     case: Case, environment: Callable[[], Environment]

@@ -13,6 +13,7 @@ from core.environments.terms.imitating import (
     ends,
     imitating_reward,
 )
+from core.environments.terms.lent import LENT_DECODER, LentDecoder, behind
 from core.environments.terms.metrics import Travel
 from core.environments.terms.observations import ActuatorForces, BodyInertias, Qpos, Qvel, ShareVelocities
 from core.environments.terms.page import noisy, page, survival
@@ -30,6 +31,7 @@ class HumanoidOptions(Strict):
         "walk", description="imitate: follows the clips of `reference`, by terms of its own (docs/tasks.md)."
     )
     reference: Reference | None = Field(None, description="What it imitates; null: nothing.")
+    action: LentDecoder = Field(None, description=LENT_DECODER)
     forward_reward_weight: Weight = Field(1.25, description="Reward for each metre per second in +x.")
     ctrl_cost_weight: Weight = Field(0.1, description="Cost of the control: this times its squared norm.")
     healthy_reward: Weight = Field(5.0, description="Reward for each step.")
@@ -55,7 +57,7 @@ class HumanoidOptions(Strict):
 
 
 def _task(options: HumanoidOptions) -> TaskOptions:
-    return _imitating(options) if options.task == IMITATE else _walking(options)
+    return behind(_imitating(options) if options.task == IMITATE else _walking(options), options.action)
 
 
 def _imitating(options: HumanoidOptions) -> TaskOptions:

@@ -63,6 +63,14 @@ def page(  # noqa: PLR0913 # A row's fields.
     )
 
 
+def task_of(row: EnvironmentInfo, options: Strict) -> TaskOptions | None:
+    """The task of terms that these options of the row are, or make; None: no terms say what the body does."""
+    if isinstance(options, TaskOptions):
+        return options
+    makes: Callable[[Strict], TaskOptions] | None = row.arguments.get("task")
+    return None if makes is None else makes(options)
+
+
 def _parts(body: str, model: str, options: type[Strict]) -> Inventory:
     """The parts of the body's model. Those of a body that the table lacks are read from its model, which
     loads MuJoCo: see `core.environments.describe_bodies`."""

@@ -233,7 +233,7 @@ def task_slices(options: TaskOptions, model: Inventory, unit_of_action: str | No
         for terms in (observed(options), options.critic or ())
     )
     if isinstance(options.action, DecoderAction):
-        acts = _intention(options.action)
+        acts = intention(options.action)
     else:
         acts = [
             named(name, (name,), unit_of_action, *_ends(options, actuator))
@@ -242,7 +242,7 @@ def task_slices(options: TaskOptions, model: Inventory, unit_of_action: str | No
     return Spaces(in_order(seen), in_order(acts), in_order(by_critic))
 
 
-def _intention(action: DecoderAction) -> list[Slice]:
+def intention(action: DecoderAction) -> list[Slice]:
     """Its numbers; none before the action is filled in."""
     names = (f"intention {number}" for number in range(action.latent or 0))
     return [named("intention", names, "1", -action.reach, action.reach)]

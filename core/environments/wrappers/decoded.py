@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +13,9 @@ import numpy as np
 
 from core.environments.environment import Environment, State, Wrapped, innermost
 from core.environments.info import POLICY_GROUP
-from core.environments.task import TaskEnv
 from core.environments.terms.actions import DecoderAction
-from core.environments.terms.inventory import Inventory
-from core.environments.terms.task import TaskOptions, observed, parts_of
+from core.environments.terms.lent import seen_by
+from core.environments.terms.observations import ObservationTerm
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, ModelFields
 from core.reasons import Reason
@@ -100,15 +99,23 @@ class Decoded(Wrapped):
         return self.environment.step(state, self.decoder(self.reach * action, seen[self.places]))
 
 
-def behind_decoder(
-    environment: Environment, options: TaskOptions, action: DecoderAction, file: Path | None
-) -> Decoded:
-    """The environment under these options, behind the decoder in the file. Raises JobFailed."""
+@runtime_checkable
+class SeesForDecoder(Protocol):
+    """An environment whose observation has what a decoder sees."""
+
+    def places_of(self, terms: Sequence[ObservationTerm]) -> np.ndarray:
+        """Where the numbers of these terms are in the observation, in the terms' order; those of terms that
+        it lacks are left out."""
+        ...
+
+
+def behind_decoder(environment: Environment, action: DecoderAction, file: Path | None) -> Decoded:
+    """The environment behind the decoder in the file. Raises JobFailed."""
     inner = innermost(environment)
-    if file is None or action.sees is None or not isinstance(inner, TaskEnv):
+    if file is None or action.sees is None or not isinstance(inner, SeesForDecoder):
         raise JobFailed(Reason.BAD_CHECKPOINT, f"The decoder of job {action.job} is missing.")
     decoder = read_decoder(file)
-    places = places_of(action.sees, options, inner.inventory)
+    places = inner.places_of(seen_by(action))
     fits = (len(places), decoder.latent, environment.action_size)
     if fits != (len(decoder.mean), action.latent, decoder.action_size):
         detail = (
@@ -117,23 +124,6 @@ def behind_decoder(
         )
         raise JobFailed(Reason.BAD_CHECKPOINT, detail)
     return Decoded(environment, decoder, places, action.reach)
-
-
-def places_of(terms: Sequence[Mapping[str, Any]], options: TaskOptions, model: Inventory) -> np.ndarray:
-    """Where the numbers of these terms are in the observation, in the terms' order; those of terms that it
-    lacks are left out."""
-    parts = parts_of(options, model)
-    found: dict[str, np.ndarray] = {}
-    start = 0
-    for term in observed(options):
-        size = sum(part.size for part in term.slices_of_history(parts))
-        found.setdefault(_as_text(term.model_dump(mode="json")), np.arange(start, start + size))
-        start += size
-    return np.concatenate([found.get(_as_text(term), np.array([], int)) for term in terms])
-
-
-def _as_text(term: Mapping[str, Any]) -> str:
-    return json.dumps(term, sort_keys=True)
 
 
 def is_decoded(environment: Environment) -> bool:

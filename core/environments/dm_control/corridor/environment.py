@@ -1,7 +1,7 @@
 """A walker that learns to run down a corridor. Rewards as in the tutorial notebook."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from types import MappingProxyType
@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from core.environments.dm_control.corridor import egocentric, rewards, termination
+from core.environments.dm_control.corridor.as_rodent import AsRodent
 from core.environments.dm_control.corridor.curriculum import at_every_level
 from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions, spaces
 from core.environments.dm_control.corridor.layouts import ManyCourses, OneCourse
@@ -22,6 +23,8 @@ from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
+from core.environments.terms.lent import seen_by
+from core.environments.terms.observations import ObservationTerm
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 
@@ -63,11 +66,15 @@ class Corridor(MujocoEnv):
             options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
         walker = WALKERS[options.walker]
+        dt, trunk = options.timestep * options.n_frames, model.body(walker.trunk).id
+        decoder_sees = seen_by(options.action)
+        self._for_decoder = AsRodent(decoder_sees, model, trunk, dt) if decoder_sees else None
         read = (
             *_DERIVED,
             *in_order(options.observables),
             *(egocentric.DERIVED if options.egocentric_depth else ()),
             *termination.derived_fields(options),
+            *(sorted(self._for_decoder.derived) if self._for_decoder else ()),
         )
         hidden = 2 if options.exclude_current_positions_from_observation else 0
         super().__init__(
@@ -75,7 +82,7 @@ class Corridor(MujocoEnv):
             build_engine(model, options.n_frames, tuple(dict.fromkeys(read)), accelerated=accelerated),
             num_substeps=options.n_frames,
             observation_size=spaces(options).observation_size,
-            tracked_body=walker.trunk,
+            tracked_body=trunk,
         )
         self.episode_length = options.episode_length
         self._held = (
@@ -125,6 +132,12 @@ class Corridor(MujocoEnv):
         physics = self.engine.step(state.physics, self._control(action))
         return self._after(state.physics, physics, action, state.info)
 
+    def places_of(self, terms: Sequence[ObservationTerm]) -> np.ndarray:
+        """Where the numbers of the terms that its decoder sees are in the observation."""
+        del terms
+        size = self._for_decoder.size if self._for_decoder else 0
+        return np.arange(size) + spaces(self._options).observation_size - size
+
     def simulation(self) -> Simulation:
         if self._options.has_layouts:
             raise NotSimulated("each episode has another corridor")
@@ -146,9 +159,13 @@ class Corridor(MujocoEnv):
         way_before, way_after = (self._course.passed(info, where[0]) for where in (old, new))
         fell = jnp.where(height < _GROUND_M, 1.0, 0.0)
         endings = self._endings(physics)
+        seen = self._observe(physics, info)
+        if self._for_decoder is not None:
+            by_decoder, remembered = self._for_decoder(before, physics, action, info)
+            seen, info = jnp.concatenate([seen, by_decoder]), {**info, **remembered}
         return self.stepped(
             physics,
-            self._observe(physics, info),
+            seen,
             rewards={
                 "forward_reward": options.forward_reward_weight * velocity[0],
                 "distance_reward": options.distance_reward_weight * velocity[0] * self.dt,

@@ -25,6 +25,9 @@ from core.environments.options import (
 )
 from core.environments.terms.array_slices import ctrl, qpos, qvel
 from core.environments.terms.inventory import inventory_of
+from core.environments.terms.lent import LENT_DECODER, LentDecoder, seen_by
+from core.environments.terms.task import TaskOptions as TaskOfTerms
+from core.environments.terms.task import intention, parts_of
 from core.physics.availability import EngineName, Rule
 
 # The length of dm_control's first platform, and the space it leaves before the first wall, in metres.
@@ -34,6 +37,8 @@ _MAX_OBSTACLES = 200
 # How far ahead the observation reaches.
 SIGHT_M = 10.0
 _SEEDS = 2**32
+# The walker that is also a body of the catalog, whose decoders fit.
+_RODENT = "rodent"
 
 
 _MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."
@@ -103,6 +108,7 @@ class CorridorOptions(TaskOptions, RunnerOptions, _Place):  # In the schema, the
         "of its joint's range; `start` holds the pose of the start. null: `start` for the humanoids with "
         "servos, `middle` for the others.",
     )
+    action: LentDecoder = Field(None, description=f"Of the rodent. {LENT_DECODER}")
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
     num_next_obstacles: int = Field(
         0, ge=0, le=10, description="How many of the gaps or walls ahead the observation includes."
@@ -150,10 +156,22 @@ class CorridorOptions(TaskOptions, RunnerOptions, _Place):  # In the schema, the
                 f"start_x = {self.start_x:g} m leaves no room to stand: at most {most:g} m fits here"
             )
         check_stands_on_its_feet(self, self.walker)
+        _check_action(self)
         _check_layouts(self)
         height, terminates = WALKERS[self.walker].standing_height, self.terminate_when_unhealthy
         check_survives_its_start(height, self.healthy_range, terminates=terminates)
         return self
+
+
+def _check_action(options: CorridorOptions) -> None:
+    if options.action is None:
+        return
+    if options.walker != _RODENT:
+        raise ValueError(
+            f"`action` is for the walker {_RODENT!r}: no environment trains a decoder of the {options.walker}"
+        )
+    if options.counts_from_start:
+        raise ValueError("a decoder gives the controls themselves: leave `zero_action` out")
 
 
 def _check_gaps(options: CorridorOptions) -> None:
@@ -226,6 +244,7 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
         "cameras": tuple(inventory_of(f"corridor/{options.walker}").cameras),
         "info": ("layout",) if options.has_layouts else (),
         "has_curriculum": options.curriculum is not None,
+        "decoders_of": _RODENT if options.walker == _RODENT else None,
         "cannot_run": _cannot_run(options),
         "on_a_cpu": _RODENT_ON_A_CPU if _is_long(options) else _ON_A_CPU,
         "on_a_gpu": (*(_ANT_ON_A_GPU if options.walker == "ant" else ()), *_ON_A_GPU),
@@ -254,7 +273,11 @@ def spaces(options: CorridorOptions) -> Spaces:
         *ahead,
         named("egocentric_depth", image, "m", 0.0, SIGHT_M),
     ]
-    return Spaces(in_order(seen), in_order(ctrl(own)))
+    if options.action is None:
+        return Spaces(in_order(seen), in_order(ctrl(own)))
+    rat = parts_of(TaskOfTerms(), inventory_of(_RODENT))
+    seen += [part for term in seen_by(options.action) for part in term.slices_of_history(rat)]
+    return Spaces(in_order(seen), in_order(intention(options.action)))
 
 
 def _is_long(options: CorridorOptions) -> bool:

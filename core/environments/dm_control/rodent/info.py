@@ -22,6 +22,7 @@ from core.environments.terms.imitating import (
     ends,
     imitating_reward,
 )
+from core.environments.terms.lent import LENT_DECODER, LentDecoder, behind
 from core.environments.terms.metrics import Travel
 from core.environments.terms.observations import Activation, ActuatorForces, Cinert, Cvel, Qpos, Qvel
 from core.environments.terms.page import noisy, page, survival
@@ -58,6 +59,7 @@ class RodentOptions(RunnerOptions):
         "run", description="imitate: follows the clips of `reference`, by terms of its own (docs/tasks.md)."
     )
     reference: RatReference | None = Field(None, description="What it imitates; null: nothing.")
+    action: LentDecoder = Field(None, description=LENT_DECODER)
     terminate_when_unhealthy: bool = Field(
         True, description="false: an unhealthy step only loses the healthy reward."
     )
@@ -100,7 +102,7 @@ def _under(options: RodentOptions) -> Mapping[str, Any]:
 
 
 def _task(options: RodentOptions) -> TaskOptions:
-    return _imitating(options) if options.task == IMITATE else _running(options)
+    return behind(_imitating(options) if options.task == IMITATE else _running(options), options.action)
 
 
 def _imitating(options: RodentOptions) -> TaskOptions:
