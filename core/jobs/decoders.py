@@ -10,6 +10,7 @@ from typing import Any, cast
 from core.algorithms.catalog import reported
 from core.algorithms.ppo.network_spec import IntentionNetwork
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.spec import BaseSpec
 from core.documents import Strict
 from core.environments.info import POLICY_GROUP, EnvironmentInfo
 from core.environments.mjcf.edit_check import edited
@@ -21,7 +22,7 @@ from core.environments.terms.page import task_of
 from core.environments.terms.task import TaskOptions, observed, parts_of
 from core.errors import JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.job import Artifact, Job
-from core.jobs.resolved import own_model, resolve_environment
+from core.jobs.resolved import ResolvedJob, own_model, resolve_environment
 from core.jobs.spec import EnvironmentSpec, JobSpec, TrainSpec, decoder_job
 from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
@@ -78,6 +79,17 @@ def with_decoder(spec: JobSpec, store: JobStore, readable: Collection[str] | Non
     changed = {**spec.environment.options, "action": {**sent, **found}}
     environment = spec.environment.model_copy(update={"options": changed})
     return spec.model_copy(update={"environment": environment})
+
+
+def why_it_lends_to_few(job: ResolvedJob, settings: BaseSpec) -> str | None:
+    """What a training should tell at once, as its decoder will be of no use to tasks without clips."""
+    has_decoder = isinstance(settings, PPOSpec) and settings.network is not None
+    if not has_decoder or "reference" not in getattr(getattr(job.options, "action", None), "needed", ()):
+        return None
+    return (
+        "The decoder that this trains can move tasks with a `reference` alone, because its action is about "
+        'where the clip has the joints; with `about`: "pose" it could move others, too.'
+    )
 
 
 def check_readable_decoder(

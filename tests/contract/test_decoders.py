@@ -10,7 +10,9 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.environments import catalog
 from core.errors import JobInUse, Rejected
 from core.jobs.attempts import Claim
+from core.jobs.decoders import why_it_lends_to_few
 from core.jobs.job import Artifact, Job
+from core.jobs.resolved import resolve_job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.submission import new_job
@@ -119,6 +121,18 @@ def test_a_body_that_imitated_lends_its_decoder_to_its_other_tasks(
     # The G1's walk sees all of that anyway.
     more = (info.spaces.observation_size) - plain.spaces.observation_size
     assert (more > 0) == (environment != "g1")
+
+
+def test_a_training_whose_decoder_needs_clips_says_so_as_it_begins() -> None:
+    def said(about: str) -> str | None:
+        options = {**FOLLOWS, "action": {"kind": "joint_position", "about": about}}
+        algorithm = {"kind": "ppo", "network": {"kind": "intention", "latent": 7}}
+        sent = {"kind": "train", "environment": {"id": "g1", "options": options}, "algorithm": algorithm}
+        job = resolve_job(JOB_SPEC.validate_python(sent))
+        return why_it_lends_to_few(job, job.settings_on("cpu"))
+
+    assert said("pose") is None
+    assert "can move tasks with a `reference` alone" in (said("reference") or "")
 
 
 def test_the_job_is_kept_until_those_that_need_its_decoder_have_ended(

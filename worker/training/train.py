@@ -27,6 +27,7 @@ from core.algorithms.seeds import make_seeds_run
 from core.algorithms.spec import BaseSpec
 from core.environments.info import Device
 from core.errors import JobFailed
+from core.jobs.decoders import why_it_lends_to_few
 from core.jobs.job import JobPhase
 from core.jobs.spec import TrainSpec
 from core.reasons import Reason
@@ -73,6 +74,8 @@ def train(
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     if differs := built.other_versions(task.made_with):
         events.send(Noted(text=differs))
+    if lends_to_few := why_it_lends_to_few(built.job, settings):
+        events.send(Noted(text=lends_to_few))
     check_memory(built.job.memory_on(built.device, built.num_devices), built.device, task.gpu_part)
     run, policies = begin_or_resume(task, spec, settings, built, events)
     exports = ExportWriter(settings.algorithm(), built)

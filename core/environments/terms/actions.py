@@ -121,7 +121,7 @@ class PositionPart(JointPart):
     about: Literal["pose", "reference"] = Field(
         default="pose",
         description="What an action of 0 asks for: the joint's position in the pose, or where the reference "
-        "has it after the step.",
+        "has it after the step. A decoder that learns about the reference moves tasks with one alone.",
     )
     encoder_bias: bool = Field(
         default=False,
