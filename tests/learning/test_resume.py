@@ -79,12 +79,12 @@ REPLAYED: dict[str, Any] = {
 @pytest.mark.parametrize(
     ("begin", "update"),
     [
-        pytest.param(*ppo(partial(ant, "native")), id="ppo-ant-native"),
         pytest.param(*q_learning(**REPLAYED), id="q_learning-replay-agents"),
         pytest.param(*sac(probe), id="sac-probe"),
         pytest.param(*dqn(probe), id="dqn-probe"),
         pytest.param(*ppo(probes.intention, network=RAMPED), id="ppo-intention"),
         pytest.param(*ppo(probe), id="ppo-probe", marks=pytest.mark.extra),
+        pytest.param(*ppo(partial(ant, "native")), id="ppo-ant-native", marks=pytest.mark.extra),
         pytest.param(*ppo(partial(ant, "compiled")), id="ppo-ant-compiled", marks=pytest.mark.extra),
         pytest.param(*sac(probe, reset_pool_size=0), id="sac-first-states", marks=pytest.mark.extra),
         pytest.param(*sac(partial(ant, "native")), id="sac-ant-native", marks=pytest.mark.extra),
