@@ -30,7 +30,7 @@ FIGURES: list[Figure] = []
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     for item in items:
-        if Path(__file__).parent in item.path.parents:
+        if item.nodeid.startswith("tests/e2e/compose/"):
             item.add_marker(pytest.mark.compose)
     if "compose" in str(config.option.markexpr).split("not compose")[0] and not _engine():
         pytest.exit(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from core.rendering.gl import RenderingFailed, probe
 from core.rendering.request import RenderRequest, RenderResult
+from tests.extra import extra
 from tests.unit.rendering.conftest import ball_request, rolling_ball
 from worker.render.client import render
 
@@ -160,11 +161,9 @@ def test_episodes_at_once_are_below_each_other_and_one_that_has_ended_stands_sti
 @pytest.mark.parametrize(
     ("without", "also"),
     [
-        ([], "transparent"),
         # These are inside of the ball and below it.
         (["transparent"], "contacts"),
-        (["transparent"], "centre_of_mass"),
-        (["transparent"], "joints"),
+        *extra((["transparent"], "centre_of_mass"), (["transparent"], "joints"), ([], "transparent")),
     ],
 )
 def test_what_is_asked_for_is_drawn_besides_the_body(without: list[str], also: str, tmp_path: Path) -> None:

@@ -97,15 +97,14 @@ def test_a_worker_that_ends_by_itself_is_started_again(fleet: Fleet, log: Path) 
     ]
 
 
-def test_every_worker_of_a_fleet_shows_life_in_a_file_of_its_own(fleet: Fleet, log: Path) -> None:
-    began = min(worker.started_at.timestamp() for worker in fleet.two_workers())
+def test_every_worker_shows_life_in_a_file_of_its_own_and_none_outlives_a_fleet_that_is_killed(
+    fleet: Fleet, log: Path
+) -> None:
+    workers = fleet.two_workers()
+    began = min(worker.started_at.timestamp() for worker in workers)
     # The fleet made the files before it started the workers.
     assert all(log.with_name(f"alive.{number}").stat().st_mtime > began for number in (0, 1))
     assert not log.with_name("alive").exists()
-
-
-def test_no_worker_outlives_a_fleet_that_is_killed(fleet: Fleet) -> None:
-    workers = fleet.two_workers()
     fleet.process.kill()
     wait_until(lambda: all(is_gone(worker.pid) for worker in workers))
 
@@ -180,10 +179,11 @@ def test_a_fleet_without_a_gpu_says_what_to_do() -> None:
         assert remedy in said
 
 
-def test_a_fleet_that_has_a_gpu_twice_is_refused() -> None:
-    done = run_fleet("gpu:0-1", "gpu:1,2")
-    assert done.returncode == EXIT_STATUS
-    (said,) = misconfigurations(done.stdout)
+def test_a_fleet_that_has_a_gpu_twice_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["gpu:0-1", "gpu:1,2"])
+    assert ended.value.code == EXIT_STATUS
+    (said,) = misconfigurations(capsys.readouterr().out)
     assert said.startswith("The fleet gpu:0-1 gpu:1,2 has GPU 1 twice")
 
 

@@ -110,13 +110,6 @@ def test_what_a_file_holds_is_kept_with_its_archive_and_a_replay(
     assert [episode["name"] for episode in header["episodes"]] == ["hop", "stay"]
 
 
-def test_clips_of_another_body_are_refused_and_leave_nothing(tmp_path: Path, stores: dict[str, Any]) -> None:
-    found = sent(archive.to_bytes([hop(joint="elbow")]), stores, tmp_path)
-    assert found.status == "refused"
-    assert "elbow" in (found.message or "")
-    assert list(stores["objects"].list(keys.clip_files())) == []
-
-
 class Watched(MemoryObjectStore):
     """Notes in what state the clips are when their files are removed."""
 
@@ -129,11 +122,14 @@ class Watched(MemoryObjectStore):
         super().delete_prefix(prefix)
 
 
-def test_files_of_refused_clips_are_removed_before_they_can_be_sent_again(
+def test_clips_of_another_body_are_refused_and_their_files_removed_before_they_can_be_sent_again(
     tmp_path: Path, stores: dict[str, Any]
 ) -> None:
     objects = stores["objects"] = Watched(stores["store"])
-    sent(archive.to_bytes([hop(joint="elbow")]), stores, tmp_path)
+    found = sent(archive.to_bytes([hop(joint="elbow")]), stores, tmp_path)
+    assert found.status == "refused"
+    assert "elbow" in (found.message or "")
+    assert list(objects.list(keys.clip_files())) == []
     assert objects.states == ["validating"]
 
 
@@ -177,6 +173,7 @@ def test_a_process_that_says_nothing_is_told_by_its_end(
     assert sent(b"clips", stores, tmp_path).message == sentence
 
 
+@pytest.mark.extra
 def test_what_is_no_file_of_clips_is_refused_in_a_sentence(tmp_path: Path, stores: dict[str, Any]) -> None:
     found = sent(json.dumps({"clips": []}).encode(), stores, tmp_path)
     assert (found.status, found.description) == ("refused", None)
