@@ -173,13 +173,13 @@ def test_its_row_names_what_its_states_tell() -> None:
 @pytest.mark.extra
 def test_targets_differ_between_environments_and_stay_for_an_episode() -> None:
     environment = build(num_segments_per_arm=1)
-    states = jax.vmap(environment.reset)(jax.random.split(jax.random.key(0), 200))
+    states = jax.jit(jax.vmap(environment.reset))(jax.random.split(jax.random.key(0), 200))
     targets = np.asarray(states.info["target_position"])
     np.testing.assert_allclose(np.linalg.norm(targets[:, :2], axis=1), 3.0, rtol=1e-6)
     quarters = np.floor(np.arctan2(targets[:, 1], targets[:, 0]) / (np.pi / 2))
     # 200 even draws: 50 in each quarter, with a deviation of sqrt(200 · 1/4 · 3/4) = 6.1; four of them.
     assert np.abs(np.unique(quarters, return_counts=True)[1] - 50).max() < 25
-    after = jax.vmap(environment.step)(states, jnp.zeros((200, 10)))
+    after = jax.jit(jax.vmap(environment.step))(states, jnp.zeros((200, 10)))
     np.testing.assert_array_equal(after.info["target_position"], targets)
 
 

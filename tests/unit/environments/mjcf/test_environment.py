@@ -269,8 +269,8 @@ def test_the_ant_made_of_terms_is_the_ant() -> None:
     made = TaskEnv(chosen, inventory(model), spec, model, engine_builder("native"))
     assert (made.observation_size, made.dt) == (builtin.observation_size, pytest.approx(builtin.dt))
     step, again = jax.jit(jax.vmap(builtin.step)), jax.jit(jax.vmap(made.step))
-    ants = jax.vmap(builtin.reset)(jax.random.split(jax.random.key(1), 16))
-    blank = jax.vmap(made.reset)(jax.random.split(jax.random.key(2), 16))
+    ants = jax.jit(jax.vmap(builtin.reset))(jax.random.split(jax.random.key(1), 16))
+    blank = jax.jit(jax.vmap(made.reset))(jax.random.split(jax.random.key(2), 16))
     ended = 0.0
     for number in range(60):
         action = jax.random.uniform(jax.random.key(number), (16, 8), minval=-1.0, maxval=1.0)

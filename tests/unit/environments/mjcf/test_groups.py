@@ -147,7 +147,7 @@ def test_the_last_values_are_seen_and_late_by_the_episodes_delay(tmp_path: Path)
 
 def test_a_bias_stays_for_the_episode(tmp_path: Path) -> None:
     environment = build(tmp_path, observation=[{"kind": "joint_positions", "bias": 0.1}], termination=[])
-    states = jax.vmap(environment.reset)(jax.random.split(KEY, 200))
+    states = jax.jit(jax.vmap(environment.reset))(jax.random.split(KEY, 200))
     first = np.asarray(states.obs)
     assert 0.09 < np.abs(first).max() <= 0.1
     later = jax.jit(jax.vmap(environment.step))(states, jnp.full((200, 1), -0.5))

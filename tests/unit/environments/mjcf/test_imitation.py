@@ -241,7 +241,7 @@ def test_clips_begin_as_often_as_their_weights_and_lengths_say(tmp_path: Path) -
     named = [flight(name="a"), flight(2.0, name="b")]
     chosen = [{"file": FILE, "names": ["a"], "weight": 3.0}, {"file": FILE, "names": ["b"]}]
     environment = follower(tmp_path, named, reference={"clips": chosen, "sampling": {"kind": "uniform"}})
-    state = jax.vmap(environment.reset)(jax.random.split(KEY, 400))
+    state = jax.jit(jax.vmap(environment.reset))(jax.random.split(KEY, 400))
     rows = np.asarray(state.info[FRAME])
     assert set(rows) == {*range(8), *range(9, 17)}  # No clip's last row.
     assert np.mean(rows < NUM_ROWS) == pytest.approx(0.75, abs=0.06)

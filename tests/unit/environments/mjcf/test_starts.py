@@ -18,7 +18,7 @@ def starts(folder: Path, number: int = 300, **reset: Any) -> tuple[np.ndarray, n
     """Positions [number, nq] and velocities [number, nv] of as many episodes."""
     still = {"position_noise": 0.0, "velocity_noise": 0.0}
     environment = build(folder, reset={"qpos": [0, 0, 0.5, 1, 0, 0, 0, 0.2], **still, **reset})
-    physics = jax.vmap(environment.reset)(jax.random.split(KEY, number)).physics
+    physics = jax.jit(jax.vmap(environment.reset))(jax.random.split(KEY, number)).physics
     return np.asarray(physics.qpos), np.asarray(physics.qvel)
 
 

@@ -73,7 +73,7 @@ def test_commands_keep_their_ranges_and_some_are_to_stand(tmp_path: Path) -> Non
         "standing": 0.5,
     }
     environment = build(tmp_path, command=command, observation=[{"kind": "command"}], reward=[TRACKS])
-    commands = np.asarray(jax.vmap(environment.reset)(jax.random.split(KEY, 400)).obs)
+    commands = np.asarray(jax.jit(jax.vmap(environment.reset))(jax.random.split(KEY, 400)).obs)
     stands = ~commands.any(axis=1)
     assert 0.4 < stands.mean() < 0.6
     assert (commands[~stands] >= [0.5, -0.2, 2.0]).all()
@@ -96,7 +96,7 @@ def test_a_push_changes_the_roots_velocity_when_it_is_due(tmp_path: Path) -> Non
 def test_noise_stays_within_its_bounds_and_a_clip_after_the_scale(tmp_path: Path) -> None:
     term = {"kind": "projected_gravity", "noise": 0.1, "scale": 10.0, "clip": 9.5}
     environment = build(tmp_path, observation=[term])
-    numbers = np.asarray(jax.vmap(environment.reset)(jax.random.split(KEY, 200)).obs)
+    numbers = np.asarray(jax.jit(jax.vmap(environment.reset))(jax.random.split(KEY, 200)).obs)
     assert np.abs(numbers[:, :2]).max() <= 1.0
     assert np.abs(numbers[:, :2]).max() > 0.9
     assert numbers[:, 2].min() == -9.5

@@ -169,7 +169,7 @@ def test_compiled_moves_it_as_mujoco_does(robot: Robot, request: pytest.FixtureR
     for target in targets:
         states.append(step(states[-1], jnp.asarray(target, jnp.float32)))
     before = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states[:-1])
-    ours = jax.vmap(compiled.step)(before, jnp.asarray(targets, jnp.float32))
+    ours = jax.jit(jax.vmap(compiled.step))(before, jnp.asarray(targets, jnp.float32))
     theirs = np.stack([np.asarray(state.qpos) for state in states[1:]])
     np.testing.assert_allclose(np.asarray(ours.qpos), theirs, atol=2e-3)
 

@@ -35,7 +35,7 @@ def on(folder: Path, kind: str, **options: Any) -> TaskEnv:
 
 def test_a_robot_begins_on_the_ground_of_its_episode(tmp_path: Path) -> None:
     environment = build(tmp_path, terrain={"kinds": ["flat", "gaps"]})
-    states = jax.vmap(environment.reset)(jax.random.split(KEY, 40))
+    states = jax.jit(jax.vmap(environment.reset))(jax.random.split(KEY, 40))
     cells = states.info["terrain"] // NUM_VARIANTS
     # Ten levels of flat ground, and ten with gaps of 1 m; the ball begins 0.5 m above either.
     np.testing.assert_allclose(states.physics.qpos[:, 2], np.where(cells < 10, 0.5, 1.5), atol=1e-5)

@@ -225,7 +225,7 @@ def test_a_running_episode_gets_new_numbers_after_each_interval(tmp_path: Path) 
         rule("dof_damping", 0.1, 0.2, names=["elbow"], operation="set"),
     ]
     environment = randomize(inner, rules)
-    states = jax.vmap(environment.reset)(jax.random.split(KEY, 8))
+    states = jax.jit(jax.vmap(environment.reset))(jax.random.split(KEY, 8))
     step = jax.jit(jax.vmap(environment.step))
     shown = list[dict[str, np.ndarray]]()
     for _ in range(7):
