@@ -19,17 +19,17 @@ from typing import Any
 import pytest
 
 BUDGETS: dict[str, float] = {
-    "e2e": 270,
+    "e2e": 215,
     "unit/environments": 300,
     "unit/worker": 140,
     "learning": 175,
     "faults": 230,
     "api": 175,
-    "api/pages": 270,
+    "api/pages": 220,
     "mujoco_compiled": 160,
     "unit/algorithms": 110,
     "contract": 135,
-    "unit/rendering": 70,
+    "unit/rendering": 62,
     "unit/embedded": 60,
     "unit/gaitway": 80,
     "unit/jobs": 40,
