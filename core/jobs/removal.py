@@ -2,20 +2,24 @@
 
 import heapq
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import structlog
 
 from core.errors import RetentionNeeded
 from core.jobs.retention import (
+    EndedJob,
+    Limits,
+    Need,
     Removal,
-    RetainedFile,
     Retention,
     RetentionRules,
+    Rule,
     Verdict,
+    choice,
     judge,
-    roles_at_stake,
+    rules_due,
 )
 from core.jobs.store import JobStore
 from core.storage import keys
@@ -24,6 +28,7 @@ from core.storage.objects import ObjectStore
 log = structlog.get_logger()
 
 _PAGE = 1000
+_Needs = Mapping[str, Sequence[Need]]
 
 
 @dataclass
@@ -32,6 +37,10 @@ class RoleSum:
 
     files: int = 0
     size: int = 0
+
+    def add(self, files: int, size: int) -> None:
+        self.files += files
+        self.size += size
 
 
 @dataclass
@@ -60,55 +69,84 @@ class Preview:
 
 
 def verdicts(
-    project: str, rules: RetentionRules, store: JobStore, *, of_needed: bool = False
+    project: str, rules: RetentionRules, store: JobStore, *, ids: Collection[str] | None = None
 ) -> Iterator[Sequence[Verdict]]:
     """What the rules say of each ended job, a page at a time, the oldest jobs first.
 
-    of_needed: only of jobs whose checkpoints others need. Raises RecordsUnavailable.
+    ids: only of these. Raises RecordsUnavailable.
     """
-    now, needs, after = store.now(), store.checkpoint_needs(project), ""
-    if of_needed and not needs:
-        return
-    ids = needs.keys() if of_needed else None
-    while jobs := store.ended_jobs(project, ids=ids, after=after, limit=_PAGE):
-        after = jobs[-1].id
-        by_roles = defaultdict[Collection[str] | None, list[str]](list)
-        for job in jobs:
-            by_roles[roles_at_stake(rules, job, needs.get(job.id, ()), now)].append(job.id)
-        files: dict[str, Sequence[RetainedFile]] = {}
-        for roles, alike in by_roles.items():
-            files |= store.sums_of_ended(alike) if roles is None else store.files_of_ended(alike, roles)
-        yield [judge(rules, job, files.get(job.id, ()), needs.get(job.id, ()), now) for job in jobs]
+    needs, limits = store.checkpoint_needs(project), rules.limits(store.now())
+    for jobs in _pages(project, store, ids):
+        yield _judged(jobs, rules, limits, needs, store)
 
 
 def preview(project: str, rules: RetentionRules, store: JobStore, *, most: int) -> Preview:
-    """What the rules would remove now. most: how many jobs are named. Raises RecordsUnavailable."""
-    found = Preview()
+    """What the rules would remove now. most: how many jobs are named. Raises RecordsUnavailable.
+
+    Of jobs that nobody needs the record sums the chosen files, and only of those named they are read.
+    """
+    found, sizes = Preview(), list[tuple[int, str]]()
+    needs, limits = store.checkpoint_needs(project), rules.limits(store.now())
     roles = defaultdict[str, RoleSum](RoleSum)
-    largest: list[tuple[int, str, Removal]] = []
-    for page in verdicts(project, rules, store):
-        for verdict in page:
-            found.pinned += verdict.job.is_pinned
+    for jobs in _pages(project, store):
+        found.pinned += sum(job.is_pinned for job in jobs)
+        needed = [job for job in jobs if _is_needed(job, needs)]
+        for verdict in _judged(needed, rules, limits, needs, store):
             if verdict.needs or verdict.sweep:
                 found.num_needed += 1
-                if len(found.needed) < most:
-                    found.needed.append(verdict)
-            if (removal := verdict.removal) is None:
-                continue
-            found.jobs += 1
-            found.whole_jobs += removal.is_whole
-            for file in removal.all_files:
-                role = roles[file.role]
-                role.files += file.number
-                role.size += file.size
-            entry = (removal.num_bytes, removal.job.id, removal)
-            if len(largest) < most:
-                heapq.heappush(largest, entry)
-            else:
-                heapq.heappushpop(largest, entry)
+                found.needed += [verdict][: most - len(found.needed)]
+            if (removal := verdict.removal) is not None:
+                sizes.append((removal.num_bytes, verdict.job.id))
+                for file in removal.all_files:
+                    roles[file.role].add(file.number, file.size)
+        free = [job for job in jobs if not _is_needed(job, needs)]
+        for (due, _), alike in _alike(free, limits, needs).items():
+            chosen = choice(rules, due, is_needed=False)
+            sums = store.sums_of_ended([job.id for job in alike], chosen)
+            found.whole_jobs += len(alike) if chosen.is_whole else 0
+            losing = [job.id for job in alike] if chosen.is_whole else sums.by_job
+            sizes += [(sums.by_job.get(job_id, (0, 0))[1], job_id) for job_id in losing]
+            for role, sum_of_role in sums.by_role.items():
+                roles[role].add(*sum_of_role)
+    found.jobs = len(sizes)
     found.roles = dict(sorted(roles.items(), key=lambda item: -item[1].size))
-    found.largest = [removal for *_, removal in sorted(largest, key=lambda entry: entry[:2], reverse=True)]
+    largest = [job_id for _, job_id in heapq.nlargest(most, sizes)]
+    removals = [one.removal for page in verdicts(project, rules, store, ids=largest) for one in page]
+    by_size = sorted(filter(None, removals), key=lambda one: (one.num_bytes, one.job.id), reverse=True)
+    found.largest = by_size
     return found
+
+
+def _pages(project: str, store: JobStore, ids: Collection[str] | None = None) -> Iterator[Sequence[EndedJob]]:
+    after = ""
+    while jobs := store.ended_jobs(project, ids=ids, after=after, limit=_PAGE):
+        after = jobs[-1].id
+        yield jobs
+
+
+def _judged(
+    jobs: Sequence[EndedJob], rules: RetentionRules, limits: Limits, needs: _Needs, store: JobStore
+) -> Sequence[Verdict]:
+    found = list[Verdict]()
+    for (due, is_needed), alike in _alike(jobs, limits, needs).items():
+        chosen = choice(rules, due, is_needed=is_needed)
+        files = store.files_of_ended([job.id for job in alike], chosen)
+        found += [judge(job, due, files.get(job.id, ()), needs.get(job.id, ())) for job in alike]
+    return sorted(found, key=lambda one: one.job.id)
+
+
+def _alike(
+    jobs: Sequence[EndedJob], limits: Limits, needs: _Needs
+) -> Mapping[tuple[Sequence[Rule], bool], Sequence[EndedJob]]:
+    """The jobs by the rules that are due of them, and whether somebody needs them."""
+    found = defaultdict[tuple[Sequence[Rule], bool], list[EndedJob]](list)
+    for job in jobs:
+        found[rules_due(job, limits), _is_needed(job, needs)].append(job)
+    return found
+
+
+def _is_needed(job: EndedJob, needs: _Needs) -> bool:
+    return job.sweep is not None or job.id in needs
 
 
 def check_needed(project: str, rules: RetentionRules, store: JobStore) -> None:
@@ -117,7 +155,7 @@ def check_needed(project: str, rules: RetentionRules, store: JobStore) -> None:
     Raises RetentionNeeded, RecordsUnavailable.
     """
     needed: dict[str, Sequence[str]] = {}
-    for page in verdicts(project, rules, store, of_needed=True):
+    for page in verdicts(project, rules, store, ids=store.checkpoint_needs(project)):
         # What a sweep needs waits for its end, which is no reason to refuse.
         needed |= {one.job.id: [need.job for need in one.needs] for one in page if one.needs}
     if needed:

@@ -1,9 +1,11 @@
-"""What a project keeps of its ended jobs: its rules, and what they remove of a job, as a pure function.
+"""What a project keeps of its ended jobs: its rules, and what they remove of a job, as pure functions.
 
-Of a job that stays, policies, exports, metrics, events and the log always stay, and its newest checkpoint.
+`rules_due` says which rules concern a job, `choice` which files these are, which the record finds or sums,
+and `judge` what goes. Of a job that stays, policies, exports, metrics, events and the log always stay, and
+its newest checkpoint.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Literal, NamedTuple, Protocol, cast
@@ -34,11 +36,14 @@ WORDS: Mapping[Rule, str] = {
     "failed_days": "the failed job",
     "cancelled_days": "the cancelled job",
 }
-# Jobs that a rule removes with all that they have.
-_WHOLE: Mapping[JobStatus, Rule] = {
-    JobStatus.FAILED: "failed_days",
-    JobStatus.CANCELLED: "cancelled_days",
+# The jobs that a rule removes with all that they have.
+_WHOLE: Mapping[Rule, JobStatus] = {
+    "failed_days": JobStatus.FAILED,
+    "cancelled_days": JobStatus.CANCELLED,
 }
+# By rule that says something: jobs that have been kept since then, or for longer, are due.
+Limits = Mapping[Rule, datetime]
+_ALWAYS = datetime.max.replace(tzinfo=UTC)
 
 
 class RetentionRules(Strict):
@@ -75,10 +80,12 @@ class RetentionRules(Strict):
         """The rules that say something."""
         return {name: value for name, value in self.model_dump().items() if value is not None}
 
-    def age(self, rule: Rule) -> timedelta | None:
-        """After which time a rule of days removes; None where it says nothing."""
-        days: int | None = getattr(self, rule)
-        return None if days is None else timedelta(days=days)
+    def limits(self, now: datetime) -> Limits:
+        """Of the rules that say something, the files' before those that remove whole jobs."""
+        return {
+            cast("Rule", rule): _ALWAYS if rule == "checkpoints" else now - timedelta(days=number)
+            for rule, number in self.given().items()
+        }
 
 
 RULES = TypeAdapter(RetentionRules)
@@ -114,8 +121,22 @@ class RetainedFile(NamedTuple):
     number: int = 1
 
 
-@dataclass(frozen=True)
-class EndedJob:
+class Choice(NamedTuple):
+    """Files of an ended job: those of `roles`, of its checkpoints without the newest `keep` steps; or all."""
+
+    roles: tuple[ArtifactRole, ...]
+    keep: int
+    is_whole: bool = False
+
+
+class Sums(NamedTuple):
+    """Number and bytes of the chosen files, by job that has some, and by role."""
+
+    by_job: Mapping[str, tuple[int, int]]
+    by_role: Mapping[str, tuple[int, int]]
+
+
+class EndedJob(NamedTuple):
     """What the rules ask of a job. kept_since: its end, or its import.
 
     sweep: one that goes on, and has the job as a trial or names it.
@@ -176,31 +197,37 @@ class Verdict:
     sweep: str | None = None
 
 
-def roles_at_stake(
-    rules: RetentionRules, job: EndedJob, needs: Sequence[Need], now: datetime
-) -> Collection[str] | None:
-    """The roles of the files that `judge` has to see; None: sums of all roles, since the whole job goes."""
+def rules_due(job: EndedJob, limits: Limits) -> tuple[Rule, ...]:
+    """The rules that concern the job now."""
     if job.is_pinned:
-        return frozenset()
-    if _whole(rules, job, now) is not None and not needs and job.sweep is None:
-        return None
-    return frozenset(role for rule in _due(rules, job, now) for role in ROLES[rule])
+        return ()
+    since, status = job.kept_since, job.status
+    return tuple(
+        [rule for rule, limit in limits.items() if since <= limit and _WHOLE.get(rule, status) == status]
+    )
+
+
+def choice(rules: RetentionRules, due: Sequence[Rule], *, is_needed: bool) -> Choice:
+    """The files of a job that these rules concern. is_needed: by jobs or a sweep, so that the job stays."""
+    if not is_needed and any(rule in _WHOLE for rule in due):
+        return Choice((), 0, is_whole=True)
+    roles = list[ArtifactRole]()
+    for rule in due:
+        roles += ROLES.get(rule, ())
+    return Choice(tuple(roles), rules.checkpoints or 1)
 
 
 def judge(
-    rules: RetentionRules,
-    job: EndedJob,
-    files: Sequence[RetainedFile],
-    needs: Sequence[Need],
-    now: datetime,
+    job: EndedJob, due: Sequence[Rule], files: Sequence[RetainedFile], needs: Sequence[Need]
 ) -> Verdict:
-    """files: those that `roles_at_stake` asks for. needs: of the job's checkpoints."""
-    if job.is_pinned:
-        return Verdict(job)
-    whole = _whole(rules, job, now)
+    """due, files: what `rules_due` says, and the files of `choice`. needs: of the job's checkpoints."""
+    whole: Rule | None = next((rule for rule in due if rule in _WHOLE), None)
     if whole is not None and not needs and job.sweep is None:
         return Verdict(job, Removal(job, {whole: files}, is_whole=True))
-    removed: Mapping[Rule, Sequence[RetainedFile]] = _of_files(rules, job, files, now)
+    removed: dict[Rule, Sequence[RetainedFile]] = {}
+    for rule in due:
+        if its := [file for file in files if file.role in ROLES.get(rule, ())]:
+            removed[rule] = its
     if job.sweep is not None:
         return Verdict(job, sweep=job.sweep if removed or whole is not None else None)
     kept_for = [*needs] if whole is not None else []
@@ -208,47 +235,8 @@ def judge(
         steps, needed = {file.step for file in old}, {need.step for need in needs}
         kept_for += [need for need in needs if need.step in steps and need not in kept_for]
         found = Removal(job, removed).without(lambda file: file.role == "checkpoint" and file.step in needed)
-        removed = found.files
+        return Verdict(job, found if found.files else None, kept_for)
     return Verdict(job, Removal(job, removed) if removed else None, kept_for)
-
-
-def _of_files(
-    rules: RetentionRules, job: EndedJob, files: Sequence[RetainedFile], now: datetime
-) -> dict[Rule, Sequence[RetainedFile]]:
-    """What the rules about files remove where nobody needs it."""
-    found = dict[Rule, Sequence[RetainedFile]]()
-    for rule in _due(rules, job, now):
-        found[rule] = [file for file in files if file.role in ROLES[rule]]
-    if "checkpoints" in found:
-        found["checkpoints"] = _older(found["checkpoints"], rules.checkpoints or 1)
-    return {rule: files for rule, files in found.items() if files}
-
-
-def _whole(rules: RetentionRules, job: EndedJob, now: datetime) -> Rule | None:
-    """The rule that removes the whole job, if it is due."""
-    rule = _WHOLE.get(job.status)
-    return rule if rule is not None and _is_due(rules, rule, job, now) else None
-
-
-def _due(rules: RetentionRules, job: EndedJob, now: datetime) -> Iterator[Rule]:
-    """The rules about files that are due."""
-    for rule in ROLES:
-        if rule == "checkpoints":
-            if rules.checkpoints is not None:
-                yield rule
-        elif _is_due(rules, rule, job, now):
-            yield rule
-
-
-def _is_due(rules: RetentionRules, rule: Rule, job: EndedJob, now: datetime) -> bool:
-    age = rules.age(rule)
-    return age is not None and now - job.kept_since >= age
-
-
-def _older(checkpoints: Sequence[RetainedFile], keep: int) -> list[RetainedFile]:
-    """Those whose step is none of the newest `keep`."""
-    newest = sorted({file.step or 0 for file in checkpoints})[-keep:]
-    return [file for file in checkpoints if (file.step or 0) not in newest]
 
 
 _MOST_NAMED = 10
@@ -258,7 +246,8 @@ def said_of(removal: Removal, rules: RetentionRules) -> str:
     """A sentence for the job's events: which files went, by which rule."""
     parts: list[str] = []
     for rule, files in removal.files.items():
-        names = [file.name for file in files[:_MOST_NAMED]]
+        oldest = sorted(files, key=lambda file: (file.step or 0, file.name))
+        names = [file.name for file in oldest[:_MOST_NAMED]]
         more = f" and {len(files) - len(names)} more" if len(files) > len(names) else ""
         parts.append(f"`{rule}` = {getattr(rules, rule)} removed {', '.join(names)}{more}")
     return f"By the retention rules of its project, {'; '.join(parts)}."
@@ -301,13 +290,13 @@ class RetentionStore(Protocol):
         ...
 
     def files_of_ended(
-        self, job_ids: Collection[str], roles: Collection[str]
+        self, job_ids: Collection[str], choice: Choice
     ) -> Mapping[str, Sequence[RetainedFile]]:
-        """Files of these roles by job."""
+        """The chosen files by job; of whole jobs an entry for each role, and for the parts of their feeds."""
         ...
 
-    def sums_of_ended(self, job_ids: Collection[str]) -> Mapping[str, Sequence[RetainedFile]]:
-        """All files of these jobs, and the parts of their feeds: one entry for each role, by job."""
+    def sums_of_ended(self, job_ids: Collection[str], choice: Choice) -> Sums:
+        """Sums over the files that `files_of_ended` returns."""
         ...
 
     def checkpoint_needs(self, project: str) -> Mapping[str, Sequence[Need]]:

@@ -21,7 +21,7 @@ from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.patch import JobPatch
 from core.jobs.quotas import QuotaStore
-from core.jobs.retention import EndedJob, Removal, Retention, RetentionRules, RetentionStore
+from core.jobs.retention import Choice, EndedJob, Removal, Retention, RetentionRules, RetentionStore
 from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
 from core.jobs.tallies import Tally
@@ -47,6 +47,7 @@ Call = Callable[[JobStore], object]
 PROMPT_S = 3.8
 RULES = RetentionRules(checkpoints=1)
 BY = Retention(project="default", rules=RULES, set_at=NOW)
+CHOICE = Choice(("video",), 1)
 REMOVAL = Removal(EndedJob("a", 1, None, None, JobStatus.FAILED, NOW), {})
 CHUNK = Chunk("logs", 1, 1, "chunk", size=1, sha256="0" * 64)
 
@@ -107,8 +108,8 @@ def calls(job: Job) -> Mapping[str, Call]:
         "set_retention": lambda jobs: jobs.set_retention("default", RULES, Actor()),
         "end_retention": lambda jobs: jobs.end_retention("default", Actor()),
         "ended_jobs": lambda jobs: jobs.ended_jobs("default"),
-        "files_of_ended": lambda jobs: jobs.files_of_ended([job.id], ["video"]),
-        "sums_of_ended": lambda jobs: jobs.sums_of_ended([job.id]),
+        "files_of_ended": lambda jobs: jobs.files_of_ended([job.id], CHOICE),
+        "sums_of_ended": lambda jobs: jobs.sums_of_ended([job.id], CHOICE),
         "checkpoint_needs": lambda jobs: jobs.checkpoint_needs("default"),
         "remove_retained": lambda jobs: jobs.remove_retained(REMOVAL, BY),
         "objects_named": lambda jobs: jobs.objects_named([job.id]),

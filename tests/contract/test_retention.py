@@ -38,7 +38,7 @@ ROLES = {"checkpoint": "checkpoint", "video": "video", "policy": "policy", "repl
 def file(job: Job, name: str, size: int = 1) -> Artifact:
     role, _, step = name.partition("-")
     key = keys.artifact(job.id, 1, f"{len(name):016d}", name)
-    facts = {"role": ROLES[role], "step": int(step) if step else None, "key": key, "size": size}
+    facts = {"role": ROLES[role], "step": int(step.strip("b")) if step else None, "key": key, "size": size}
     return artifact(name, **facts)
 
 
@@ -140,6 +140,14 @@ def test_files_go_from_record_and_bucket_and_the_job_the_audit_log_and_a_refusal
     # Nothing is left to do, and a later removal adds up.
     apply(job_store, object_store)
     assert job_store.get(job.id).version == found.version
+
+
+def test_checkpoints_of_one_step_count_as_one(job_store: PostgresJobStore) -> None:
+    job = ended(job_store, None, queued_job(), "checkpoint-1", "checkpoint-1b", "checkpoint-2")
+    assert [shown(job_store, checkpoints=keep).files for keep in (2, 1)] == [0, 2]
+    set_rules(job_store, checkpoints=1)
+    apply(job_store, MemoryObjectStore())
+    assert names_of(job_store, job) == ["checkpoint-2"]
 
 
 def test_a_whole_job_goes_with_its_feeds(job_store: PostgresJobStore, object_store: S3ObjectStore) -> None:

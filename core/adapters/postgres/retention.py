@@ -13,6 +13,7 @@ from sqlalchemy import (
     Connection,
     Row,
     Text,
+    TextClause,
     any_,
     bindparam,
     delete,
@@ -44,12 +45,14 @@ from core.jobs.job import JOB_ID, Origin, Removed
 from core.jobs.retention import (
     PIN,
     RULES,
+    Choice,
     EndedJob,
     Need,
     Removal,
     RetainedFile,
     Retention,
     RetentionRules,
+    Sums,
     said_of,
 )
 from core.jobs.status import JobStatus
@@ -85,26 +88,37 @@ _ENDED = (
     .limit(bindparam("most"))
 )
 _ENDED_OF = _ENDED.where(jobs.c.id == any_(IDS))
-# By a lateral join each job is looked up by the index: `= ANY` read the whole table for each page. A row for
-# each job takes half the time of a row for each file.
-_FILES = text("""
-    SELECT wanted.id, found.names, found.roles, found.steps, found.sizes
-    FROM unnest(CAST(:ids AS text[])) AS wanted (id), LATERAL (
-        SELECT array_agg(name) AS names, array_agg(role) AS roles, array_agg(step) AS steps,
-            array_agg(size) AS sizes
+# What a `Choice` is. By a lateral join each job is looked up by the index: `= ANY` read the whole table for
+# each page. A row for each job takes half the time of a row for each file.
+_CHOSEN = """
+    SELECT wanted.id, found.* FROM unnest(CAST(:ids AS text[])) AS wanted (id), LATERAL (
+        SELECT name, role, step, size, 1 AS number,
+            dense_rank() OVER (PARTITION BY role ORDER BY coalesce(step, 0) DESC) AS place
         FROM artifacts WHERE job_id = wanted.id AND role = ANY (CAST(:roles AS text[]))
-    ) AS found
-    WHERE found.names IS NOT NULL
-""")
-_SUMS = text("""
-    SELECT wanted.id, found.role, found.size, found.number
+    ) AS found WHERE role <> 'checkpoint' OR place > :keep
+"""
+_WHOLE = """
+    SELECT wanted.id, found.role AS name, found.role, NULL AS step, found.size, found.number
     FROM unnest(CAST(:ids AS text[])) AS wanted (id), LATERAL (
         SELECT role, sum(size) AS size, count(*) AS number
         FROM artifacts WHERE job_id = wanted.id GROUP BY role
         UNION ALL
         SELECT 'feed', sum(size), count(*) FROM chunks WHERE job_id = wanted.id HAVING count(*) > 0
     ) AS found
-""")
+"""
+_FILES, _SUMS = (
+    {is_whole: text(wanted.format(chosen)) for is_whole, chosen in ((False, _CHOSEN), (True, _WHOLE))}
+    for wanted in (
+        """
+        SELECT id, array_agg(name), array_agg(role), array_agg(step), array_agg(CAST(size AS bigint)),
+            array_agg(number) FROM ({}) AS chosen GROUP BY id
+        """,
+        """
+        SELECT id, role, CAST(sum(number) AS bigint) AS number, CAST(sum(size) AS bigint) AS size
+        FROM ({}) AS chosen GROUP BY GROUPING SETS ((id), (role))
+        """,
+    )
+)
 _source = jobs.alias("source")
 _NEEDS = (
     select(_source.c.id.label("source"), jobs.c.id, jobs.c.source_step, jobs.c.project)
@@ -158,21 +172,24 @@ class RetentionQueries(Session):
         return [_ended(row, sweep_of.get(row.id)) for row in found]
 
     def files_of_ended(
-        self, job_ids: Collection[str], roles: Collection[str]
+        self, job_ids: Collection[str], choice: Choice
     ) -> Mapping[str, Sequence[RetainedFile]]:
-        if not job_ids or not roles:
-            return {}
-        with self._statements() as connection:
-            found = connection.execute(_FILES, {"ids": [*job_ids], "roles": [*roles]}).all()
+        found = self._of_chosen(_FILES, job_ids, choice)
         return {job_id: [*map(RetainedFile, *facts)] for job_id, *facts in found}
 
-    def sums_of_ended(self, job_ids: Collection[str]) -> Mapping[str, Sequence[RetainedFile]]:
-        by_job = defaultdict[str, list[RetainedFile]](list)
+    def sums_of_ended(self, job_ids: Collection[str], choice: Choice) -> Sums:
+        found = self._of_chosen(_SUMS, job_ids, choice)
+        by_job = {row.id: (row.number, row.size) for row in found if row.role is None}
+        return Sums(by_job, {row.role: (row.number, row.size) for row in found if row.role is not None})
+
+    def _of_chosen(
+        self, wanted: Mapping[bool, TextClause], job_ids: Collection[str], choice: Choice
+    ) -> Sequence[Row[Any]]:
+        if not job_ids or not (choice.roles or choice.is_whole):
+            return ()
+        which = {} if choice.is_whole else {"roles": [*choice.roles], "keep": choice.keep}
         with self._statements() as connection:
-            found = connection.execute(_SUMS, {"ids": [*job_ids]}).all()
-        for job_id, role, size, number in found:
-            by_job[job_id].append(RetainedFile(role, role, None, int(size), number))
-        return by_job
+            return connection.execute(wanted[choice.is_whole], {"ids": [*job_ids], **which}).all()
 
     def checkpoint_needs(self, project: str) -> Mapping[str, Sequence[Need]]:
         by_job = defaultdict[str, list[Need]](list)

@@ -11,9 +11,11 @@ from core.jobs.retention import (
     Need,
     RetainedFile,
     RetentionRules,
+    Verdict,
     check_rules,
+    choice,
     judge,
-    roles_at_stake,
+    rules_due,
 )
 from core.jobs.status import JobStatus
 from tests.unit.jobs.making import NOON
@@ -35,9 +37,20 @@ def ended(status: JobStatus = JobStatus.SUCCEEDED, days_ago: float = 10, **said:
     return EndedJob(JOB, 4, "run", None, status, NOON - timedelta(days=days_ago), **said)
 
 
+def judged(rules: RetentionRules, job: EndedJob, *needs: Need) -> Verdict:
+    """The verdict on the files that `choice` names, as the record finds them."""
+    due = rules_due(job, rules.limits(NOON))
+    chosen = choice(rules, due, is_needed=bool(needs) or job.sweep is not None)
+    kept = sorted(file.step for file in FILES if file.step is not None)[-chosen.keep :]
+    files = [
+        file for file in FILES if chosen.is_whole or (file.role in chosen.roles and file.step not in kept)
+    ]
+    return judge(job, due, files, needs)
+
+
 def removed(rules: RetentionRules, job: EndedJob, *needs: Need) -> set[str]:
     """The names of the files that go."""
-    verdict = judge(rules, job, FILES, needs, NOON)
+    verdict = judged(rules, job, *needs)
     return set() if verdict.removal is None else {file.name for file in verdict.removal.all_files}
 
 
@@ -58,54 +71,46 @@ def test_each_rule_removes_its_own_files(rules: dict[str, int], gone: set[str]) 
     assert removed(RetentionRules(**rules), ended()) == gone
 
 
-def test_checkpoints_of_one_step_count_as_one() -> None:
-    files = [RetainedFile(f"{step}-{part}", "checkpoint", step, 1) for step in (1, 2, 3) for part in "ab"]
-    verdict = judge(RetentionRules(checkpoints=2), ended(), files, (), NOON)
-    assert verdict.removal is not None
-    assert [file.name for file in verdict.removal.all_files] == ["1-a", "1-b"]
-
-
 @pytest.mark.parametrize(
     ("status", "rule"), [(JobStatus.FAILED, "failed_days"), (JobStatus.CANCELLED, "cancelled_days")]
 )
 def test_a_job_that_failed_or_was_cancelled_goes_as_a_whole(status: JobStatus, rule: Any) -> None:
     rules = RetentionRules(**{rule: 10}, checkpoints=1)
-    verdict = judge(rules, ended(status), FILES, (), NOON)
+    verdict = judged(rules, ended(status))
     assert verdict.removal is not None
     assert verdict.removal.is_whole
     assert [*verdict.removal.files] == [rule]
     assert verdict.removal.num_bytes == 357
-    assert roles_at_stake(rules, ended(status), (), NOON) is None
     # A day earlier its checkpoints alone.
     assert removed(rules, ended(status, days_ago=9.9)) == {"checkpoint-10", "checkpoint-20"}
 
 
 def test_what_another_job_needs_stays_and_the_job_is_named() -> None:
     rules, job = RetentionRules(checkpoints=1), ended()
-    verdict = judge(rules, job, FILES, [Need(OTHER, 10)], NOON)
+    verdict = judged(rules, job, Need(OTHER, 10))
     assert verdict.needs == [Need(OTHER, 10)]
     assert removed(rules, job, Need(OTHER, 10)) == {"checkpoint-20"}
     # The newest always stays, and a policy too.
-    assert judge(rules, job, FILES, [Need(OTHER, None), Need(OTHER, 30)], NOON).needs == []
+    assert judged(rules, job, Need(OTHER, None), Need(OTHER, 30)).needs == []
 
 
 def test_a_whole_job_that_another_one_needs_stays_but_its_other_rules_hold() -> None:
     rules, job = RetentionRules(failed_days=1, videos_days=1), ended(JobStatus.FAILED)
     assert removed(rules, job, Need(OTHER, None)) == {"video.mp4", "video.png"}
-    assert judge(rules, job, FILES, [Need(OTHER, None)], NOON).needs == [Need(OTHER, None)]
+    assert judged(rules, job, Need(OTHER, None)).needs == [Need(OTHER, None)]
 
 
 def test_a_job_of_a_sweep_that_goes_on_is_left_alone() -> None:
-    verdict = judge(RetentionRules(checkpoints=1), ended(sweep=OTHER), FILES, (), NOON)
+    verdict = judged(RetentionRules(checkpoints=1), ended(sweep=OTHER))
     assert (verdict.removal, verdict.sweep) == (None, OTHER)
-    assert judge(RetentionRules(checkpoints=9), ended(sweep=OTHER), FILES, (), NOON).sweep is None
+    assert judged(RetentionRules(checkpoints=9), ended(sweep=OTHER)).sweep is None
 
 
 def test_a_pinned_job_loses_nothing() -> None:
     rules = RetentionRules(checkpoints=1, videos_days=1, failed_days=1)
     job = ended(JobStatus.FAILED, is_pinned=True)
-    assert judge(rules, job, FILES, (), NOON).removal is None
-    assert roles_at_stake(rules, job, (), NOON) == frozenset()
+    assert rules_due(job, rules.limits(NOON)) == ()
+    assert judged(rules, job).removal is None
 
 
 def test_rules_that_say_nothing_are_refused() -> None:
