@@ -162,22 +162,22 @@ def newest(
             return found
         return connection.execute(_collected(query, part, before, limit)).all()
     found = [*matches(query, jobs, part), *below(jobs, before)]
-    wanted = select(jobs).where(*found).order_by(jobs.c.id.desc()).limit(limit)
-    return connection.execute(by_bytes(wanted, size_of(jobs), "id")).all()
+    wanted = select(jobs.c.id).where(*found).order_by(jobs.c.id.desc()).limit(limit)
+    return connection.execute(rows_by_bytes(wanted, size_of(jobs), "id")).all()
 
 
 def _of_projects(whose: Whose, part: Part, before: str | None, limit: int) -> Any:
     """The newest of each project, of which the newest: PostgreSQL would sort all jobs of several projects."""
     others = of(jobs, whose.model_copy(update={"projects": None}), part)
     each = [
-        select(jobs)
+        select(jobs.c.id, size_of(jobs).label("size"))
         .where(jobs.c.project == project, *others, *below(jobs, before))
         .order_by(jobs.c.id.desc())
         .limit(limit)
         for project in whose.projects or ()
     ]
     found = union_all(*each).subquery("of_projects")
-    return by_bytes(select(found).order_by(found.c.id.desc()).limit(limit), size_of(found), "id")
+    return rows_by_bytes(select(found.c.id).order_by(found.c.id.desc()).limit(limit), found.c.size, "id")
 
 
 def size_of(table: FromClause) -> ColumnElement[int]:
@@ -187,8 +187,8 @@ def size_of(table: FromClause) -> ColumnElement[int]:
 
 def _among_the_newest(query: JobQuery, part: Part, before: str | None, limit: int) -> Any:
     near = select(jobs).where(*below(jobs, before)).order_by(jobs.c.id.desc()).limit(_NEAR).subquery("near")
-    wanted = select(near).where(*matches(query, near, part)).order_by(near.c.id.desc()).limit(limit)
-    return by_bytes(wanted, size_of(near), "id")
+    wanted = select(near.c.id).where(*matches(query, near, part)).order_by(near.c.id.desc()).limit(limit)
+    return rows_by_bytes(wanted, size_of(near), "id")
 
 
 def _has_more(connection: Connection, before: str | None) -> bool:
@@ -200,8 +200,8 @@ def _has_more(connection: Connection, before: str | None) -> bool:
 def _collected(query: JobQuery, part: Part, before: str | None, limit: int) -> Any:
     conditions = [*matches(query, jobs, part), *below(jobs, before)]
     found = select(jobs.c.id).where(*conditions).cte("found").prefix_with("MATERIALIZED")
-    wanted = select(jobs).join(found, jobs.c.id == found.c.id).order_by(jobs.c.id.desc()).limit(limit)
-    return by_bytes(wanted, size_of(jobs), "id")
+    wanted = select(jobs.c.id).join(found, jobs.c.id == found.c.id).order_by(jobs.c.id.desc()).limit(limit)
+    return rows_by_bytes(wanted, size_of(jobs), "id")
 
 
 def matches(query: JobQuery, table: FromClause, part: Part) -> list[ColumnElement[bool]]:
@@ -247,7 +247,7 @@ def below(table: FromClause, before: str | None) -> list[ColumnElement[bool]]:
     return [] if before is None else [table.c.id < before]
 
 
-def by_bytes(wanted: Select[Any], size: ColumnElement[int], *order: str) -> Select[Any]:
+def by_bytes(wanted: Select[*tuple[Any, ...]], size: ColumnElement[int], *order: str) -> Select[Any]:
     """As many of the first rows as have some mebibytes, at least one. order: columns, each descending.
 
     Each row also says how many there would be: `page_found`.
@@ -258,6 +258,20 @@ def by_bytes(wanted: Select[Any], size: ColumnElement[int], *order: str) -> Sele
     sums = select(found, up_to.label("page_sum"), func.count().over().label("page_found")).subquery("sums")
     within = sums.c.page_sum - sums.c.page_bytes < _MOST_BYTES
     return select(sums).where(within).order_by(*(sums.c[name].desc() for name in order))
+
+
+def rows_by_bytes(ids: Select[*tuple[Any, ...]], size: ColumnElement[int], *order: str) -> Select[Any]:
+    """The rows of jobs, as many as `by_bytes` gives of their ids, with what else `ids` has.
+
+    SQLAlchemy copies each column of each subquery: the windows have only those that they need.
+    """
+    found = by_bytes(ids, size, *order).subquery("within")
+    more = [column for column in found.c if column.name != "id"]
+    return (
+        select(jobs, *more)
+        .join(found, found.c.id == jobs.c.id)
+        .order_by(*(found.c[name].desc() for name in order))
+    )
 
 
 def has_more(found: Sequence[Row[Any]], kept: int) -> bool:

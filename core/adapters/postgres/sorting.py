@@ -42,9 +42,8 @@ _PREFIX = "sorted-"
 
 @dataclass(frozen=True)
 class _Place:
-    """Behind which job a page begins. value: of that job's column. at: when the first page was read.
-
-    Seconds since 1970: how long a running job has run is the same on all pages.
+    """Behind which job a page begins. value: of that job's column. at: of durations, when the first page was
+    read, in seconds since 1970: how long a running job has run is the same on all pages.
     """
 
     sort: Sort
@@ -67,7 +66,7 @@ def page(
     A job whose value changes between two pages may be missed, or come twice.
     """
     place = None if cursor is None else _place(cursor, sort)
-    at = connection.execute(select(_epoch(NOW))).scalar_one() if place is None else place.at
+    at = _now(connection, sort) if place is None else place.at
     left_out = _newest_left_out(connection, query)
     of_newest = None if left_out is None else _MOST
     found = connection.execute(_sorted(query, sort, at, place, limit + 1, left_out)).all()
@@ -75,6 +74,11 @@ def page(
     if not listing.has_more(found, len(rows)):
         return rows, None, of_newest
     return rows, _Place(sort, rows[-1].sorted_by, rows[-1].id, at).cursor(), of_newest
+
+
+def _now(connection: Connection, sort: Sort) -> float:
+    """Only durations need it: each statement is a round trip."""
+    return connection.execute(select(_epoch(NOW))).scalar_one() if sort.column == "duration" else 0.0
 
 
 def _place(cursor: str, sort: Sort) -> _Place:
@@ -162,8 +166,8 @@ def _sorted(
     top = select(keyed.c.id, keyed.c.sorted_by).where(is_shown, behind)
     top = top.order_by(*_order(keyed.c.sorted_by, keyed.c.id, sort)).limit(limit).subquery("top")
     place_in_page = func.row_number().over(order_by=_order(top.c.sorted_by, top.c.id, sort))
-    wanted = select(jobs, top.c.sorted_by, (-place_in_page).label("below")).join(top, top.c.id == jobs.c.id)
-    return listing.by_bytes(wanted, listing.size_of(jobs), "below")
+    ids = select(top.c.id, top.c.sorted_by, (-place_in_page).label("below")).join(jobs, top.c.id == jobs.c.id)
+    return listing.rows_by_bytes(ids, listing.size_of(jobs), "below")
 
 
 def _order(key: ColumnElement[Any], job: ColumnElement[Any], sort: Sort) -> tuple[ColumnElement[Any], ...]:
