@@ -40,8 +40,10 @@ export function CurveTools({ tools, children }) {
         onInput=${(event) => set({ smooth: Number(event.target.value) ? event.target.value : [] })} />
     </label>
     <label class="inline"><input type="checkbox" checked=${log} onChange=${(event) => set({ log: event.target.checked ? "1" : [] })} /> Log axis</label>
-    <label>From (${unit}) <input type="number" min="0" value=${range ? range[0] : ""} onChange=${end(0)} /></label>
-    <label>To (${unit}) <input type="number" min="0" value=${range ? range[1] : ""} onChange=${end(1)} /></label>
+    <span class="actions">
+      <label>From (${unit}) <input type="number" min="0" value=${range ? range[0] : ""} onChange=${end(0)} /></label>
+      <label>To (${unit}) <input type="number" min="0" value=${range ? range[1] : ""} onChange=${end(1)} /></label>
+    </span>
     ${range && html`<button type="button" onClick=${() => setRange(null)}>Show all</button>`}
   </div>`;
 }

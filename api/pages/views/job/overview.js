@@ -83,8 +83,7 @@ function Return({ job, query, onMetrics }) {
 function Best({ job }) {
   const best = newest(job, "best_policy");
   if (!best) return null;
-  return html`<p class="facts">Best: return ${value(best.metadata.return)} at step ${count(best.step)}.
-    <a href=${best.href} download=${best.name}>Download its policy</a>, or <a href=${href(["submit"], { roll: job.id, which: "best", seed: job.shownSeed })}>roll it out</a>.</p>`;
+  return html`<p class="facts">Best: return ${value(best.metadata.return)} at step ${count(best.step)}. <a href=${best.href} download=${best.name}>Download its policy</a>, or <a href=${href(["submit"], { roll: job.id, which: "best", seed: job.shownSeed })}>roll it out</a>.</p>`;
 }
 
 /** What a rollout found. */
