@@ -379,7 +379,7 @@ def test_a_battery_of_clips_is_shown_clip_by_clip(tab: Tab, attempt: Attempt) ->
     joints = section.get_by_role("group", name="Joints, rad")
     # The mean of 0, 0.01, …, 0.49 is 0.245; of the second joint half of that.
     expect(joints.get_by_role("listitem")).to_have_text(
-        ["left_knee0.245", "right_knee_with_a_long_name0.1225"]
+        ["left_knee0.245", "right_knee_with_a_long_name0.122"]
     )
     joints.locator("rect[data-bin='10'][data-column='1']").hover()
     expect(joints.get_by_role("status")).to_have_text("right_knee_with_a_long_name, 0.80 to 0.88 s: 0.05 rad")

@@ -35,6 +35,7 @@ function Loaded({ file }) {
       <${HeatMap} key=${`bodies ${shown.clip}`} title="Bodies" unit="m" names=${found.bodies} rows=${shown.bodies} seconds=${shown.seconds} />
     </div>
     <p class="facts">Means over all episodes of the clip, in ${shown.joints.length} parts of its time. Bodies are compared about the reference's anchor.
+      ${shown.joints.some((row) => row.includes(null)) && " Grey: no episode was there."}
       ${isPart && ` The ${found.clips.length} clips that are followed worst are kept.`}</p>
   </div>`;
 }
@@ -66,7 +67,7 @@ function HeatMap({ title, unit, names, rows, seconds }) {
             (row, bin) => html`<rect key=${bin} data-bin=${bin} data-column=${column} x=${bin} width="1" height="1"
               ...${typeof row[column] === "number" ? { "fill-opacity": (row[column] / most).toFixed(3) } : { class: "none" }} />`,
           )}</svg>
-          <span class="facts">${value(Number(means[column].toFixed(4)))}</span>
+          <span class="facts">${means[column].toFixed(3)}</span>
         </li>`,
       )}
     </ul>

@@ -6,7 +6,7 @@ import { html, useState } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
 import { Failure, Loading } from "../../parts/elements.js";
 
-const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BELOW] = [480, 330, 56, 10, 10, 44];
+const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BELOW] = [360, 290, 52, 10, 10, 44];
 const MOST_NAMED = 8; // As many colours as there are for curves.
 
 const COLOURS = {
