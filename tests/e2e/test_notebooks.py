@@ -60,7 +60,7 @@ def test_a_job_is_shown_live_until_it_ends(
 
 def test_the_notebooks_of_the_examples_hold_what_came_out_of_them() -> None:
     found = sorted(path.name for path in NOTEBOOKS.glob("*.ipynb"))
-    assert found == ["corridor.ipynb", "rodent.ipynb", "star.ipynb"]
+    assert found == ["corridor.ipynb", "imitation.ipynb", "rodent.ipynb", "star.ipynb"]
     for name in found:
         path = NOTEBOOKS / name
         notebook = nbformat.read(path, as_version=4)
@@ -74,7 +74,7 @@ def test_the_notebooks_of_the_examples_hold_what_came_out_of_them() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(TIMEOUT_S)
-@pytest.mark.parametrize("name", ["star", "rodent", "corridor"])
+@pytest.mark.parametrize("name", ["star", "rodent", "corridor", "imitation"])
 def test_a_notebook_runs_from_top_to_bottom(
     name: str, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
