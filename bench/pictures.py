@@ -46,6 +46,15 @@ _ANT: dict[str, Any] = {
 }
 
 
+_SWEEP: dict[str, Any] = {
+    "name": "learning rates",
+    "method": "grid",
+    "job": {"environment": "inverted_pendulum", "video": None, "algorithm": {"num_timesteps": 40_000}},
+    "parameters": {"algorithm.learning_rate": {"low": 1e-4, "high": 1e-2, "log": True, "points": 4}},
+}
+_PART = {"accelerator": "gpu", "share_gpu": True}
+
+
 _FPS = 15
 _HEIGHT = 240
 # Of a clip: the longest that its film is, and the picture's width.
@@ -183,10 +192,14 @@ def _take(browser: Browser, client: Client, url: str, folder: Path) -> None:
     client.wait(robot.id)
     _show(desk, f"{url}/#/jobs/{robot.id}/push")
     desk.get_by_text("Steer it with W A S D").wait_for(timeout=120_000)
+    desk.get_by_role("button", name="Play").click()  # With reduced motion it waits.
+    desk.locator(".stage").focus()
     desk.keyboard.down("w")
     desk.wait_for_timeout(8000)
     _keep(desk, folder / "page-drive.webp")
     desk.keyboard.up("w")
+    client.wait_for_sweep(client.sweep(_SWEEP).id)
+    shared = client.submit({"environment": "hopper", "name": "hopper, shares a GPU", "resources": _PART})
     running_job = client.submit({**_ANT, "name": "a longer run", "algorithm": {"num_timesteps": 10**7}})
     waiting = client.submit({"environment": "hopper", "name": "hopper, waits for the worker"})
     for event in client.events(running_job.id):
@@ -211,7 +224,7 @@ def _take(browser: Browser, client: Client, url: str, folder: Path) -> None:
     )
     _show(phone, f"{url}/#/jobs/{trained[1].id}")
     _keep(phone, folder / "page-phone.webp", most=2)
-    for job in (waiting, running_job):
+    for job in (shared, waiting, running_job):
         client.cancel(job.id)
 
 
