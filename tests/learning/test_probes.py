@@ -54,7 +54,8 @@ def test_the_policy_looks_at_the_observation() -> None:
 
 def test_an_encoder_tells_a_decoder_that_sees_the_body_alone_what_is_wanted() -> None:
     # Without z, the decoder would miss by 0.5: -0.25. Without the body, it would miss by 0.4: -0.16.
-    run = small_run(probes.intention(), entropy_cost=1e-2, network=INTENTION)
+    # Three times as fast, some seeds lose again what they had learnt, and which ones depends on the machine.
+    run = small_run(probes.intention(), entropy_cost=1e-2, learning_rate=1e-3, network=INTENTION)
     assert last_evaluation(run.events())["eval/episode_reward"] > -0.05
 
 

@@ -68,10 +68,13 @@ def ends(size: float = 1.0) -> FarFromReference:
     )
 
 
-def imitating_reward(size: float = 1.0, joints: Patterns | None = None) -> list[AnyReward]:
-    """The reward's terms. size: of the body, beside a human. joints: those that are compared; None: all."""
+def imitating_reward(
+    size: float = 1.0, joints: Patterns | None = None, root: TrackRootPosition | None = None
+) -> list[AnyReward]:
+    """The reward's terms. size: of the body, beside a human. joints: those that are compared; None: all.
+    root: in place of a term whose tolerance goes by the size."""
     return [
-        TrackRootPosition(weight=1.0, tolerance=0.3 * size),
+        root or TrackRootPosition(weight=1.0, tolerance=0.3 * size),
         TrackRootOrientation(weight=0.5),
         TrackJoints(weight=1.0, joints=joints),
         TrackJointVelocities(weight=0.5, joints=joints),
