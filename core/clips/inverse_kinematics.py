@@ -17,12 +17,16 @@ from core.clips.quaternions import Array
 from core.clips.skeleton import Skeleton, listed, skeleton_of
 from core.errors import BadClips
 
-# m that a point may be farther off, for each rad by which a joint stays nearer to its last pose: it says what
-# joints do that no point shows.
-_STIFFNESS = 1e-3
+# Of the body's size: how much farther off a point may be for each rad by which a joint stays nearer to its
+# last pose. It says what joints do that no point shows, and keeps noise of the points from shaking them.
+_STIFFNESS = 0.02
+# A step that changes the pose by less than this share is the last: MuJoCo's 1e-8 takes ten times as long.
+_TOLERANCE = 1e-3
 _FIRST_ITERATIONS, _ITERATIONS = 300, 50
 _FAR = 1e3
 _FEWEST_POINTS = 3
+# Frames from which offsets are fitted; stac-mjx takes as many. What the given offset weighs beside them.
+_FITTED_FRAMES, _GIVEN_WEIGHT = 100, 0.1
 
 
 @dataclass(frozen=True)
@@ -35,13 +39,19 @@ class BodyPoint:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """distances: m between each key point and the body's, [T, K]; NaN where the key point was not seen."""
+    """distances: m between each key point and the body's, [T, K]; NaN where the key point was not seen.
+
+    offsets: m in the body's frame, of the key points that the mapping names, as they were fitted. spread: how
+    far the body's points are apart, as a share of how far the key points are.
+    """
 
     clip: Clip
     distances: Array
+    offsets: Mapping[str, Array]
+    spread: float
 
 
-def solve(
+def solve(  # noqa: PLR0913 # All but the recording and the body are named.
     key_points: Array,
     names: Sequence[str],
     mapping: Mapping[str, BodyPoint],
@@ -49,26 +59,47 @@ def solve(
     *,
     rate: float,
     name: str = "clip",
+    rounds: int = 0,
 ) -> Solution:
     """The clip whose poses follow the key points, without velocities.
 
     key_points: [T, K, 3] m in the world; NaN where one was not seen. names: of the K. mapping: which point of
-    which body each is; those that it does not name are not used. Raises BadClips.
+    which body each is; those that it does not name are not used. rounds: how often poses and the points'
+    offsets are fitted in turn before (STAC: Wu et al., 2013). Raises BadClips.
     """
     skeleton = skeleton_of(model)
     used = _used(key_points, names, mapping)
     fit = _Fit(skeleton, [mapping[names[place]] for place in used])
     seen = key_points[:, used]
     distances = np.full(key_points.shape[:2], np.nan)
-    rows = np.empty((len(seen), model.nq))
+    ours, rows = np.empty_like(seen), np.empty((len(seen), model.nq))
     row = np.asarray(model.qpos0).copy()
     if skeleton.root_joint is not None:
         row = fit.with_root(row, seen[0])
+    for _ in range(rounds):
+        fit.fit_offsets(row, seen)
     for frame, targets in enumerate(seen):
         row = fit.nearest(row, targets, _ITERATIONS if frame else _FIRST_ITERATIONS)
-        rows[frame] = row
-        distances[frame, used] = np.linalg.norm(fit.points(row) - targets, axis=-1)
-    return Solution(_clip(rows, skeleton, rate, name), distances)
+        rows[frame], ours[frame] = row, fit.points(row)
+    distances[:, used] = np.linalg.norm(ours - seen, axis=-1)
+    ours[np.isnan(distances[:, used])] = np.nan
+    offsets = {names[place]: offset for place, offset in zip(used, fit.offsets, strict=True)}
+    return Solution(_clip(rows, skeleton, rate, name), distances, offsets, _spread(ours) / _spread(seen))
+
+
+def spreads(
+    key_points: Array, names: Sequence[str], mapping: Mapping[str, BodyPoint], model: mujoco.MjModel
+) -> tuple[float, float]:
+    """How far the key points are from their centre, and how far the body's are at rest. As for `solve`."""
+    used = _used(key_points, names, mapping)
+    fit = _Fit(skeleton_of(model), [mapping[names[place]] for place in used])
+    return _spread(key_points[:, used]), _spread(fit.points(np.asarray(model.qpos0))[None])
+
+
+def _spread(points: Array) -> float:
+    """The root mean square distance from the centre, the median of the frames. points: [T, K, 3], or NaN."""
+    apart = points - np.nanmean(points, axis=1, keepdims=True)
+    return float(np.median(np.sqrt(np.nanmean((apart**2).sum(axis=-1), axis=1))))
 
 
 def _used(key_points: Array, names: Sequence[str], mapping: Mapping[str, BodyPoint]) -> list[int]:
@@ -110,7 +141,9 @@ class _Fit:
             raise BadClips(f"The model has no body `{points[bodies.index(-1)].body}`.")
         self._skeleton, self._model, self._data = skeleton, model, mujoco.MjData(model)
         self._bodies = np.array(bodies, int)
-        self._offsets = np.array([point.offset for point in points], float)
+        self._given = np.array([point.offset for point in points], float)
+        self.offsets = self._given.copy()
+        self._stiffness = _STIFFNESS * skeleton.size
         dofs = list(np.asarray(model.jnt_dofadr)[skeleton.joint_ids])
         if skeleton.root_joint is not None:
             start = int(model.jnt_dofadr[skeleton.root_joint])
@@ -123,7 +156,7 @@ class _Fit:
         self._data.qpos[:] = row
         mujoco.mj_kinematics(self._model, self._data)
         turns = self._data.xmat[self._bodies].reshape(-1, 3, 3)
-        return self._data.xpos[self._bodies] + np.einsum("kij,kj->ki", turns, self._offsets)
+        return self._data.xpos[self._bodies] + np.einsum("kij,kj->ki", turns, self.offsets)
 
     def with_root(self, row: Array, targets: Array) -> Array:
         """The pose with its root where the points as they are lie nearest to the targets (Kabsch, 1976)."""
@@ -139,26 +172,62 @@ class _Fit:
         moved[start : start + 3] = turn @ (row[start : start + 3] - centre) + aim
         return moved
 
+    def fit_offsets(self, row: Array, seen: Array) -> None:
+        """Moves each point to the mean of its key point's places in the body's frame, in some frames' poses.
+
+        row: where the first pose is looked for. seen: [T, K, 3]. The mean is drawn to the offset that was
+        given, without which the body could lie anywhere under its points.
+        """
+        places: list[Array] = []
+        for frame in np.unique(np.linspace(0, len(seen) - 1, _FITTED_FRAMES).astype(int)):
+            row = self.nearest(row, seen[frame], _FIRST_ITERATIONS)
+            self.points(row)
+            turns = self._data.xmat[self._bodies].reshape(-1, 3, 3)
+            places.append(np.einsum("kji,kj->ki", turns, seen[frame] - self._data.xpos[self._bodies]))
+        found = np.stack(places)
+        number = np.isfinite(found).all(axis=-1).sum(axis=0)[:, None]
+        weight = _GIVEN_WEIGHT * len(found)
+        self.offsets = (np.nansum(found, axis=0) + weight * self._given) / (number + weight)
+
     def nearest(self, row: Array, targets: Array, iterations: int) -> Array:
         """The pose, from this one on, whose points are nearest to the targets that were seen."""
-        seen = np.isfinite(targets).all(axis=-1)
+        seen = np.flatnonzero(np.isfinite(targets).all(axis=-1))
 
         def residual(steps: Array) -> Array:
             columns = [
                 np.concatenate(
                     [
                         (self.points(self._stepped(row, step))[seen] - targets[seen]).ravel(),
-                        _STIFFNESS * step[len(step) - self._num_joints :],
+                        self._stiffness * step[len(step) - self._num_joints :],
                     ]
                 )
                 for step in steps.T
             ]
             return np.stack(columns, axis=1)
 
+        def jacobian(step: Array, _: Array) -> Array:
+            return self._jacobian(row, step.ravel(), seen)
+
         bounds = self._bounds(row)
         start = np.clip(np.zeros(len(self._dofs)), *bounds)
-        step, _ = minimize.least_squares(start, residual, bounds, max_iter=iterations, verbose=0)
+        step, _ = minimize.least_squares(
+            start, residual, bounds, jacobian, xtol=_TOLERANCE, max_iter=iterations, verbose=0
+        )
         return self._stepped(row, np.asarray(step).ravel())
+
+    def _jacobian(self, row: Array, step: Array, seen: NDArray[np.int_]) -> Array:
+        """Of the residual by the step, [3 * seen + joints, dofs]."""
+        places = self.points(self._stepped(row, step))
+        mujoco.mj_comPos(self._model, self._data)
+        found = np.zeros((len(seen), 3, self._model.nv))
+        for rows, place in zip(found, seen, strict=True):
+            mujoco.mj_jac(self._model, self._data, rows, None, places[place], self._bodies[place])
+        moved = found.reshape(-1, self._model.nv)[:, self._dofs]
+        if self._skeleton.root_joint is not None:
+            moved[:, 3:6] = moved[:, 3:6] @ _turned_by(step[3:6])
+        stiff = np.zeros((self._num_joints, len(step)))
+        stiff[:, len(step) - self._num_joints :] = self._stiffness * np.eye(self._num_joints)
+        return np.concatenate([moved, stiff])
 
     def _stepped(self, row: Array, step: Array) -> Array:
         moved, speeds = row.copy(), np.zeros(self._model.nv)
@@ -177,3 +246,17 @@ class _Fit:
             np.concatenate([-free, np.where(limited, low - here, -_FAR)]),
             np.concatenate([free, np.where(limited, high - here, _FAR)]),
         ]
+
+
+def _turned_by(turn: Array) -> Array:
+    """How a change of a rotation vector [3] rad turns the body in its own frame, [3, 3].
+
+    It is the right Jacobian of rotations (Sola et al., 2018, A micro Lie theory, eq. 143).
+    """
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle < 1e-4:
+        return np.eye(3) - cross / 2
+    first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.eye(3) - first * cross + second * cross @ cross

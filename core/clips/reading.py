@@ -3,7 +3,7 @@
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.clips import archive
+from core.clips import archive, key_points
 from core.clips.check import check, numeric_problems
 from core.clips.clip import Clip, arrays, with_velocities
 from core.clips.formats import hdf5, lafan, mjlab, mocap, stac, trajectories
+from core.clips.formats import key_points as points_of
+from core.clips.formats.key_points import KeyPoints
 from core.clips.formats.recording import LONGEST_NAME, MOST_NUMBERS, Recording, at_the_origin
 from core.clips.kinematics import poses, qpos
 from core.clips.quaternions import Array
+from core.clips.record import KeyPointFacts
 from core.clips.skeleton import Skeleton, aligned, skeleton_of
 from core.errors import BadClips
 
@@ -27,59 +30,85 @@ _LARGEST_NPZ_BYTES = 8 * MOST_NUMBERS
 _MOST_PROBLEMS = 5
 _FORMATS = (
     "NPZ of mjlab or BeyondMimic (`joint_pos`), of our trajectories or of our clips; HDF5 of stac-mjx "
-    "(`qpos`), track-mjx (`position`, `quaternion`, `joints`) or dm_control (`walkers`); CSV like LAFAN1's"
+    "(`qpos`), track-mjx (`position`, `quaternion`, `joints`) or dm_control (`walkers`); CSV like LAFAN1's; "
+    "and key points (`key_points`, `tracks`, `pred`) in NPZ, HDF5, NWB, MATLAB or CSV"
 )
 
 
 @dataclass(frozen=True)
 class Reading:
     """The clips of a file, whose joints are the model's in its order, with velocities; what may be wrong with
-    each, one list a clip; and the file's format."""
+    each, one list a clip; the file's format; and how well a recording of key points fits."""
 
     format: str
     clips: Sequence[Clip]
     warnings: Sequence[Sequence[str]]
+    key_points: Sequence[KeyPointFacts] = ()
 
 
-def read(path: Path, model: mujoco.MjModel, *, rate: float | None = None, name: str = "clip") -> Reading:
+def read(
+    path: Path,
+    model: mujoco.MjModel,
+    *,
+    rate: float | None = None,
+    name: str = "clip",
+    allow: Callable[[int], object] = lambda seconds: None,
+) -> Reading:
     """The clips of the file, checked.
 
     rate: frames per second, for a file that does not say. name: of the clip of a file that has one, and no
-    name for it. Raises BadClips with what is wrong, clip by clip; nothing of such a file can be used.
+    name for it. allow: is told the seconds of processor time that key points may take, before they are
+    solved. Raises BadClips with what is wrong, clip by clip; nothing of such a file can be used.
     """
     skeleton = skeleton_of(model)
-    format, recordings = _recordings(path)
-    if not recordings:
+    path, options = key_points.unpacked(path)
+    format, found = _recordings(path)
+    if isinstance(found, KeyPoints):
+        allow(key_points.seconds_for(found))
+        options = options or key_points.KeyPointOptions.model_validate({})
+        solved = key_points.solved(found, options, model, rate=_rate(found, rate), name=name)
+        clip = with_velocities(solved.clip)
+        # The poses are estimates: what is wrong with some, as a tail that no point shows, is told alone.
+        findings = check(clip, skeleton)
+        warnings = [*solved.warnings, *findings.problems, *findings.warnings]
+        return Reading(format, [clip], [warnings], solved.key_points)
+    if options is not None:
+        raise BadClips(f"`{key_points.OPTIONS}` is for key points, and the file beside it is of {format}.")
+    if not found:
         raise BadClips("The file has no clips.")
-    if len(recordings) > MOST_CLIPS:
-        raise BadClips(f"The file has {len(recordings):,} clips; at most {MOST_CLIPS:,} are read.")
+    if len(found) > MOST_CLIPS:
+        raise BadClips(f"The file has {len(found):,} clips; at most {MOST_CLIPS:,} are read.")
     clips: list[Clip] = []
-    warnings: list[list[str]] = []
+    told: list[list[str]] = []
     problems: list[str] = []
-    for recording, label in zip(recordings, _labels(recordings, name), strict=True):
+    for recording, label in zip(found, _labels(found, name), strict=True):
         clip = _clip(replace(recording, name=label), skeleton, rate)
-        found = numeric_problems(clip)
-        if not found:
+        wrong = numeric_problems(clip)
+        if not wrong:
             clip = with_velocities(_with_unit_quaternions(clip))
             findings = check(clip, skeleton)
-            found = findings.problems
-            warnings.append(findings.warnings)
+            wrong = findings.problems
+            told.append(findings.warnings)
         clips.append(clip)
-        problems += found if len(recordings) == 1 else [f"{label}: {sentence}" for sentence in found]
+        problems += wrong if len(found) == 1 else [f"{label}: {sentence}" for sentence in wrong]
         if len(problems) >= _MOST_PROBLEMS:
             break
     if problems:
         raise BadClips(" ".join(problems[:_MOST_PROBLEMS]))
-    return Reading(format, clips, warnings)
+    return Reading(format, clips, told)
 
 
-def _recordings(path: Path) -> tuple[str, list[Recording]]:
+def _recordings(path: Path) -> tuple[str, list[Recording] | KeyPoints]:
     with path.open("rb") as file:
-        start = file.read(len(hdf5.MAGIC))
+        start = file.read(len(points_of.MATLAB_HDF5))
     if start.startswith(_NPZ_MAGIC):
         return _of_npz(path)
-    if start == hdf5.MAGIC:
-        return _of_hdf5(path)
+    if start.startswith(hdf5.MAGIC) or start == points_of.MATLAB_HDF5:
+        return _of_hdf5(path, is_matlabs=start == points_of.MATLAB_HDF5)
+    if start.startswith(points_of.MATLAB):
+        if (found := points_of.of_matlab(path)) is not None:
+            return points_of.NAME, found
+        raise BadClips("The MATLAB file has neither `pred` nor `key_points`.")
     if start.startswith(b"\x93NUMPY"):
         raise BadClips("The file is a single NumPy array (.npy), without names or a rate: send NPZ or CSV.")
     if start.startswith(b"\x80"):
@@ -88,10 +117,12 @@ def _recordings(path: Path) -> tuple[str, list[Recording]]:
         )
     if not start:
         raise BadClips("The file is empty.")
+    if (found := points_of.of_text(path)) is not None:
+        return points_of.NAME, found
     return lafan.NAME, lafan.recordings(path)
 
 
-def _of_npz(path: Path) -> tuple[str, list[Recording]]:
+def _of_npz(path: Path) -> tuple[str, list[Recording] | KeyPoints]:
     try:
         with zipfile.ZipFile(path) as packed:
             size = sum(member.file_size for member in packed.infolist())
@@ -106,6 +137,8 @@ def _of_npz(path: Path) -> tuple[str, list[Recording]]:
                 return trajectories.NAME, trajectories.recordings(file, about)
             if mjlab.is_one(names):
                 return mjlab.NAME, mjlab.recordings(file, names)
+            if (found := points_of.of_arrays(file)) is not None:
+                return points_of.NAME, found
     except ValueError as error:
         if "allow_pickle" in str(error):
             detail = (
@@ -128,13 +161,16 @@ def _of_npz(path: Path) -> tuple[str, list[Recording]]:
     raise BadClips(f"The NPZ file has {_some(names)}, which is no known format. Known are {_FORMATS}.")
 
 
-def _of_hdf5(path: Path) -> tuple[str, list[Recording]]:
+def _of_hdf5(path: Path, *, is_matlabs: bool) -> tuple[str, list[Recording] | KeyPoints]:
     with hdf5.opened(path) as root:
         file = hdf5.members(root)
         if stac.is_one(file):
             return stac.NAME, stac.recordings(file)
         if mocap.is_one(file):
             return mocap.NAME, mocap.recordings(file)
+        found = points_of.of_nwb(file) or points_of.of_arrays(file, is_matlabs=is_matlabs)
+        if found is not None:
+            return points_of.NAME, found
         raise BadClips(f"The HDF5 file has {_some(file)}, which is no known format. Known are {_FORMATS}.")
 
 
@@ -217,11 +253,13 @@ def _with_root(recording: Recording, skeleton: Skeleton) -> Recording:
     return recording
 
 
-def _rate(recording: Recording, rate: float | None) -> float:
+def _rate(recording: Recording | KeyPoints, rate: float | None) -> float:
     """Frames per second. Raises BadClips if neither the file nor its sender says, or if they disagree."""
     if recording.rate is None:
         if rate is None:
-            hint = f" {recording.rate_hint}" if recording.rate_hint else ""
+            hint = (
+                f" {recording.rate_hint}" if isinstance(recording, Recording) and recording.rate_hint else ""
+            )
             raise BadClips(f"The file does not say how many frames a second it has: give `rate`.{hint}")
         return rate
     if rate is not None and abs(rate - recording.rate) > 0.001 * rate:

@@ -31,14 +31,27 @@ class MadeFile(Stored):
     size: int
 
 
+class KeyPointFacts(Stored):
+    """A key point that the clip follows. body, offset: the point of the body that it is, in m, as it was
+    fitted. mean_distance, worst_distance: m between the two, over the num_seen frames that have it."""
+
+    name: str
+    body: str
+    offset: tuple[float, float, float]
+    num_seen: int
+    mean_distance: float | None = None
+    worst_distance: float | None = None
+
+
 class ClipsDescription(Stored):
     """The contents of a file. format: how it is laid out. joints: those that the clips move, by their
-    names in the body's model. made: files made of it, by name. num_replayed: how many of the clips, from the
-    first on, its replay shows. no_replay: why there is none."""
+    names in the body's model. key_points: of a recording of such. made: files made of it, by name.
+    num_replayed: how many of the clips, from the first on, its replay shows. no_replay: why there is none."""
 
     format: str
     clips: list[ClipFacts]
     joints: list[str]
+    key_points: list[KeyPointFacts] = []
     made: dict[str, MadeFile] = {}
     num_replayed: int = 0
     no_replay: str | None = None

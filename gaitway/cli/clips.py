@@ -22,13 +22,20 @@ ClipsName = Annotated[
 def add(  # noqa: PLR0913 # The command's options.
     context: typer.Context,
     file: Annotated[
-        Path, typer.Argument(exists=True, dir_okay=False, help="NPZ, HDF5 or CSV; see docs/imitation.md.")
+        Path,
+        typer.Argument(exists=True, dir_okay=False, help="NPZ, HDF5, CSV and others; see docs/imitation.md."),
     ],
     body: Annotated[
         str, typer.Option(help="Whose clips they are: an environment such as `g1`, or a model of your own.")
     ],
     rate: Annotated[
         float | None, typer.Option(min=0.0, help="Frames per second, for a file that does not say.")
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True, dir_okay=False, help="JSON: which points of the body the key points of the file are."
+        ),
     ] = None,
     name: Annotated[
         str | None, typer.Option(help="What to call it, up to 100 characters; by default as the file.")
@@ -43,7 +50,7 @@ def add(  # noqa: PLR0913 # The command's options.
     if wait := what_it_waits_for(list(client.workers()), "the file of clips"):
         Console(stderr=True).print(Text(wait), soft_wrap=True)
     whose = _body(client, body)
-    _told(client.add_clips(file, whose, rate=rate, name=name, project=project), as_json)
+    _told(client.add_clips(file, whose, rate=rate, points=points, name=name, project=project), as_json)
 
 
 @clips.command("list")
@@ -108,6 +115,10 @@ def _told(file: ClipFileView, as_json: bool) -> None:
         print(f"  {clip.name}: {clip.num_frames:,} frames at {clip.rate:g}/s, {clip.seconds:.2f} s")
         for warning in clip.warnings:
             print(f"    {warning}")
+    for point in found.key_points:
+        mean, worst = ((value or 0) * 1000 for value in (point.mean_distance, point.worst_distance))
+        off = f"{mean:.1f} mm off, at worst {worst:.1f} mm" if point.num_seen else "never seen"
+        print(f"  {point.name} at {point.body}: {off}")
     print(f"  joints: {', '.join(found.joints)}")
 
 

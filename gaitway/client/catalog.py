@@ -1,8 +1,10 @@
 # Made by .ci/make_client.py: change gaitway/async_client/catalog.py instead.
 """Users' own models and clips, stills of bodies, environments, and the service itself."""
 
+import io
 import json
 import time
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -32,6 +34,16 @@ _LONGEST_NAME = 100
 def _name_of(file: Path) -> str | None:
     """The service takes no control characters, and only so many others."""
     return "".join(sign for sign in file.name if sign.isprintable())[:_LONGEST_NAME] or None
+
+
+def _with_points(file: Path, points: str | Path | Mapping[str, Any]) -> bytes:
+    """A ZIP of both, with equal bytes for equal content."""
+    said = json.dumps(points).encode() if isinstance(points, Mapping) else Path(points).read_bytes()
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as both:
+        both.writestr(zipfile.ZipInfo("points.json"), said)
+        both.writestr(zipfile.ZipInfo(f"recording{file.suffix}"), file.read_bytes())
+    return packed.getvalue()
 
 
 class Catalog(Connection):
@@ -90,31 +102,35 @@ class Catalog(Connection):
         """Remove a model. Raises Conflict while an unfinished job needs it."""
         self._request("DELETE", f"/models/{quote(model_id, safe=':')}")
 
-    def add_clips(  # How the file is to be read.
+    def add_clips(  # noqa: PLR0913 # How the file is to be read.
         self,
         path: str | Path,
         body: str,
         timeout: float = 120.0,
         *,
         rate: float | None = None,
+        points: str | Path | Mapping[str, Any] | None = None,
         name: str | None = None,
         project: str | None = None,
     ) -> ClipFileView:
         """Send a file of clips, recordings of a body's motion, and wait until it is validated.
 
         body: whose they are, an environment such as `g1`, or a model of your own by its id. rate: frames per
-        second, for a file that does not say. name, project, timeout, Raises: as for `add_model`.
+        second, for a file that does not say. points: which points of the body the key points of the file are,
+        a JSON file or its content (docs/imitation.md). name, project, timeout, Raises: as for `add_model`.
         """
         file, deadline = Path(path), time.monotonic() + timeout
         params = {"name": name or _name_of(file), "body": body, "rate": rate, "project": project}
         params = {key: value for key, value in params.items() if value is not None}
         headers = {"Content-Type": "application/octet-stream"}
-        clips = self._post("/clips", ClipFileView, content=file.read_bytes(), headers=headers, params=params)
+        content = file.read_bytes() if points is None else _with_points(file, points)
+        clips = self._post("/clips", ClipFileView, content=content, headers=headers, params=params)
         while clips.status == "validating":
             if time.monotonic() > deadline:
                 raise WaitTimeout(
                     f"No worker has read the clips {clips.id} after {timeout:g} s; one that trains reads them"
-                    " after its job. The service keeps them: `gaitway clips show` tells when they are ready."
+                    " after its job, and key points take minutes. The service keeps them: `gaitway clips"
+                    " show` tells when they are ready."
                 )
             sleep(POLL_S)
             clips = self.clip_file(clips.id)

@@ -121,13 +121,27 @@ class ClipView(View):
     warnings: list[str] = []
 
 
+class KeyPointView(View):
+    """A key point that a clip follows. body, offset: the point of the body that it is, in m, as fitted.
+    mean_distance, worst_distance: m between the two, over the num_seen frames that have it."""
+
+    name: str
+    body: str = ""
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    num_seen: int = 0
+    mean_distance: float | None = None
+    worst_distance: float | None = None
+
+
 class ClipsContents(View):
-    """What is in a file of clips. format: how it is laid out; joints: those that the clips move.
-    num_replayed: how many of the clips its replay shows, each as an episode; no_replay: why there is none."""
+    """What is in a file of clips. format: how it is laid out; joints: those that the clips move; key_points:
+    of a recording of such. num_replayed: how many of the clips its replay shows, each as an episode;
+    no_replay: why there is none."""
 
     format: str = ""
     clips: list[ClipView] = []
     joints: list[str] = []
+    key_points: list[KeyPointView] = []
     num_replayed: int = 0
     no_replay: str | None = None
 

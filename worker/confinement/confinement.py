@@ -30,7 +30,8 @@ PACKAGES = ("core", "mujoco_compiled", "worker", "gaitway")
 
 @dataclass(frozen=True)
 class Limits:
-    """wall_s: from start to kill. cpu_s: of all its threads. memory_bytes: of its address space.
+    """wall_s: from start to kill. cpu_s: of all its threads, and what `allow_cpu` may add to it: more_cpu_s.
+    memory_bytes: of its address space.
 
     num_processes: and threads, besides those that its user has already. The kernel does not hold root to it.
     """
@@ -42,6 +43,7 @@ class Limits:
     num_files: int = 256
     num_cores: int = 2
     num_processes: int = 512
+    more_cpu_s: int = 0
 
     def arguments(self) -> list[str]:
         return [str(value) for value in asdict(self).values()]
@@ -55,7 +57,7 @@ class Limits:
 def limit(limits: Limits) -> None:
     """Limit this process and all it starts, for good. Raises OSError."""
     for what, most in (
-        (resource.RLIMIT_CPU, limits.cpu_s),
+        (resource.RLIMIT_CPU, limits.cpu_s + limits.more_cpu_s),
         (resource.RLIMIT_FSIZE, limits.file_bytes),
         (resource.RLIMIT_NOFILE, limits.num_files),
         (resource.RLIMIT_CORE, 0),
@@ -64,9 +66,17 @@ def limit(limits: Limits) -> None:
     ):
         _, hard = resource.getrlimit(what)
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(what, (most, most))
+        soft = min(most, limits.cpu_s) if what == resource.RLIMIT_CPU else most
+        resource.setrlimit(what, (soft, most))
     # Libraries start a thread for each core that they see, and each takes memory.
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: limits.num_cores])
+
+
+def allow_cpu(seconds: int) -> None:
+    """Let this process take so much more processor time, as far as `more_cpu_s` goes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_CPU)
+    if soft != resource.RLIM_INFINITY:
+        resource.setrlimit(resource.RLIMIT_CPU, (min(soft + seconds, hard), hard))
 
 
 def _num_of_user() -> int:

@@ -20,6 +20,7 @@ from core.errors import BadClips, GaitwayError
 from core.physics.choose import engine_builder
 from core.rendering.replay.replay import replay_of, scene_of
 from core.rendering.timeline import EpisodeMotion
+from worker.confinement.confinement import allow_cpu
 from worker.validation.answer import ClipsQuestion
 
 # Of all clips together: what a look at them needs.
@@ -30,7 +31,7 @@ def clip_findings(folder: Path) -> ClipsDescription:
     """The description. It leaves what is made of the file in the folder. Raises BadClips."""
     question = ClipsQuestion.model_validate_json((folder / "question.json").read_text())
     model = _body(question.body, folder)
-    found = read(folder / "clips", model, rate=question.rate, name=question.name)
+    found = read(folder / "clips", model, rate=question.rate, name=question.name, allow=allow_cpu)
     (folder / ARCHIVE).write_bytes(archive.to_bytes(found.clips))
     shown, why = _replayed(found.clips, model, folder)
     return ClipsDescription(
@@ -46,6 +47,7 @@ def clip_findings(folder: Path) -> ClipsDescription:
             for clip, warnings in zip(found.clips, found.warnings, strict=True)
         ],
         joints=list(found.clips[0].joints),
+        key_points=list(found.key_points),
         num_replayed=shown,
         no_replay=why,
     )

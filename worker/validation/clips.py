@@ -2,12 +2,13 @@
 
 import hashlib
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import structlog
 
 from core.clips.record import ARCHIVE, CLIPS, REPLAY, SCENE, ClipFile, ClipsDescription, MadeFile
-from core.errors import NotFound, ObjectDamaged, ObjectNotFound
+from core.errors import NotFound, ObjectDamaged, ObjectNotFound, Unavailable
 from core.jobs.job import utc_now
 from core.jobs.uploads import Uploads
 from core.storage import keys
@@ -26,6 +27,8 @@ _MEDIA_TYPES = {
     SCENE: "model/gltf-binary",
 }
 _MOST_BYTES = 2**29
+# Key points take longer than other files: `core.clips.key_points.seconds_for` says how long.
+_LIMITS = Limits(wall_s=900.0, more_cpu_s=500)
 _INTERRUPTED = "A worker was stopped while it refused the clips; send them again to learn why."
 
 
@@ -86,12 +89,19 @@ def _examined(
             return ClipsAnswer(refusal=f"The model {record.body}, whose clips they are, has been deleted.")
     question = ClipsQuestion(body=record.body, rate=record.rate, name=record.name or "clip")
     (folder / "question.json").write_text(question.model_dump_json())
-    limits = Limits()
-    status = run_to_its_end("clips", folder, data_dir, limits, strictly=strictly)
+    status = run_to_its_end(
+        "clips", folder, data_dir, _LIMITS, strictly=strictly, look_up=partial(_look_up, record, uploads)
+    )
     answer = read_answer(folder / ANSWER, ClipsAnswer)
     if answer.refusal is not None or (answer.description is not None and status == 0):
         return answer
-    return ClipsAnswer(refusal=why_without_answer("The reader", "file of clips", status, limits))
+    return ClipsAnswer(refusal=why_without_answer("The reader", "file of clips", status, _LIMITS))
+
+
+def _look_up(record: ClipFile, uploads: Uploads) -> None:
+    """Raises ClipsNotFound once somebody has deleted the file."""
+    with suppress(Unavailable):
+        library.find(record.id, uploads.clips)
 
 
 def _kept(record: ClipFile, found: ClipsDescription, folder: Path, objects: ObjectStore) -> ClipsDescription:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, get_args
 
@@ -125,15 +126,26 @@ def look(
 
 
 def run_to_its_end(
-    what: KindName, folder: Path, data_dir: Path, limits: Limits, *, strictly: bool = True
+    what: KindName,
+    folder: Path,
+    data_dir: Path,
+    limits: Limits,
+    *,
+    strictly: bool = True,
+    look_up: Callable[[], object] = lambda: None,
 ) -> int | None:
-    """Have the confined process examine the file in the folder; its exit status, None if it took too long."""
+    """Have the confined process examine the file in the folder; its exit status, None if it took too long.
+
+    look_up: is called every two seconds; what it raises ends the process.
+    """
     with (folder / "log").open("w+b") as text:
         child = _started(what, folder, data_dir, limits, text, strictly=strictly)
         try:
-            status = child.wait(limits.wall_s)
-        except subprocess.TimeoutExpired:
-            status = None
+            until, status = time.monotonic() + limits.wall_s, None
+            while status is None and (left := until - time.monotonic()) > 0:
+                with suppress(subprocess.TimeoutExpired):
+                    status = child.wait(min(left, _ASKS_EVERY_S))
+                look_up()
         finally:
             kill(child)
         if status != 0:
@@ -192,8 +204,10 @@ def _answer(folder: Path, status: int | None, limits: Limits, text: IO[bytes], w
 
 def why_without_answer(reader: str, what: str, status: int | None, limits: Limits) -> str:
     """The refusal of a file whose process said nothing of it, by its exit status; None: it took too long."""
-    if status is None or status in (-signal.SIGXCPU, -signal.SIGKILL):
+    if status is None:
         return f"{reader} was not done with the {what} within {limits.wall_s:g} s; make it smaller."
+    if status in (-signal.SIGXCPU, -signal.SIGKILL):
+        return f"{reader} was not done with the {what} in the time that it may take; make it smaller."
     if status < 0:
         return f"{reader} crashed on the {what} ({signal.Signals(-status).name})."
     return f"The {what} could not be read; it may need more memory than a {what} may."

@@ -60,8 +60,8 @@ function Upload({ onAdded }) {
       <input type="number" min="0" step="any" value=${rate} onInput=${(event) => setRate(event.target.value)} />
     </label>
     <${ProjectChoice} value=${project} onChange=${setProject} />
-    <label class="field">Choose a file of clips (NPZ, HDF5 or CSV):
-      <input ref=${input} type="file" accept=".npz,.h5,.hdf5,.csv" onChange=${(event) => upload(event.target.files[0])} />
+    <label class="field">Choose a file of clips (NPZ, HDF5 or CSV; key points also in NWB, MATLAB, or a ZIP with points.json):
+      <input ref=${input} type="file" accept=".npz,.h5,.hdf5,.csv,.nwb,.mat,.zip" onChange=${(event) => upload(event.target.files[0])} />
     </label>
     <p role="status">${state.text || ""}</p>
     ${state.error && html`<${Failure} error=${state.error} />`}
@@ -105,7 +105,12 @@ function Listed({ found }) {
       (clip) => html`<li key=${clip.name}>${clip.name} <span class="facts">${count(clip.num_frames)} frames at ${clip.rate}/s, ${clip.seconds.toFixed(1)} s</span>
         ${clip.warnings.map((warning) => html`<p class="facts"><${Prose} text=${warning} /></p>`)}</li>`,
     )}</ul>
+    ${found.key_points?.length > 0 && html`<p class="facts">${`Key points, and how far from the body they are on average: ${found.key_points.map(off).join(", ")}.`}</p>`}
   </details>`;
+}
+
+function off({ name, mean_distance: mean }) {
+  return `${name} ${mean === null ? "not seen" : `${(mean * 1000).toFixed(1)} mm`}`;
 }
 
 /** Each clip is an episode of the file's replay. */

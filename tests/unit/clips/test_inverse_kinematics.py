@@ -45,10 +45,12 @@ def seen(model: mujoco.MjModel) -> Array:
 def test_the_motion_comes_back_from_its_points(model: mujoco.MjModel) -> None:
     found = solve(seen(model), NAMES, MAPPING, model, rate=15.0, name="walk")
     assert (found.clip.name, found.clip.rate, found.clip.joints) == ("walk", 15.0, MOTION.joints)
-    assert np.nanmax(found.distances) < 1e-4  # 0.1 mm
+    assert np.nanmax(found.distances) < 1e-3
     assert np.isnan(found.distances[:, -1]).all()
     np.testing.assert_allclose(found.clip.root_position, MOTION.root_position, atol=1e-3)
-    np.testing.assert_allclose(found.clip.joint_positions, MOTION.joint_positions, atol=5e-3)
+    np.testing.assert_allclose(
+        found.clip.joint_positions, MOTION.joint_positions, atol=0.02
+    )  # see test_key_points.py
     turned = multiply(conjugate(MOTION.root_orientation), found.clip.root_orientation)
     assert np.linalg.norm(rotation_vector(turned), axis=1).max() < 5e-3
 

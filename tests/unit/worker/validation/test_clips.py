@@ -157,7 +157,7 @@ def test_clips_whose_replay_was_lost_are_validated_again(tmp_path: Path, stores:
 @pytest.mark.parametrize(
     ("status", "sentence"),
     [
-        (None, "The reader was not done with the file of clips within 90 s; make it smaller."),
+        (None, "The reader was not done with the file of clips within 900 s; make it smaller."),
         (-signal.SIGSEGV, "The reader crashed on the file of clips (SIGSEGV)."),
         (1, "The file of clips could not be read; it may need more memory than a file of clips may."),
     ],

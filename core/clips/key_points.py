@@ -1,0 +1,236 @@
+"""A clip from a recording of key points: which points of the body they are, their unit, and how they fit."""
+
+import json
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
+
+from core.clips.clip import Clip
+from core.clips.formats.key_points import KeyPoints
+from core.clips.formats.recording import MOST_NUMBERS
+from core.clips.inverse_kinematics import BodyPoint, Solution, solve, spreads
+from core.clips.quaternions import Array
+from core.clips.record import KeyPointFacts
+from core.clips.skeleton import listed, skeleton_of
+from core.documents import Strict
+from core.errors import BadClips
+
+# Beside the recording in a ZIP.
+OPTIONS = "points.json"
+# Frames times key points: 14 minutes of 23 at 50 frames a second.
+MOST_POINTS = 1_000_000
+# Of processor time for each point, of which it takes about a fifth on a slow core.
+_SECONDS_A_POINT = 5e-4
+_LARGEST_OPTIONS, _LARGEST_RECORDING = 2**20, 8 * MOST_NUMBERS
+# How many times as far apart as the body's the points may be; the units in which a file may be, in metres.
+_APART, _UNITS = 3.0, {"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0}
+# Of the body's size, from where a point is told as far; by how much the spread may differ; of the frames.
+_FAR, _OTHER_SIZE, _SELDOM = 0.05, 0.05, 0.5
+_READY = TypeAdapter(dict[str, BodyPoint])
+
+
+class KeyPointOptions(Strict):
+    """What `points.json` says of a recording.
+
+    points: which point of which body each key point is; None: those of stac-mjx's rat, if they are these.
+    names: of the key points; None: the file's, or those of `points` in their order for a file without. scale:
+    m of one of the file's units; None: found out. lift: m, by which the recording is raised. fit_offsets: how
+    often offsets are fitted.
+    """
+
+    points: dict[str, BodyPoint] | None = Field(None, max_length=1000)
+    names: list[str] | None = None
+    scale: float | None = Field(None, gt=0)
+    lift: float = 0.0
+    fit_offsets: int = Field(2, ge=0, le=20)
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """The clip, without velocities; how far each used key point is from the body; what may be wrong."""
+
+    clip: Clip
+    key_points: Sequence[KeyPointFacts]
+    warnings: Sequence[str]
+
+
+def unpacked(path: Path) -> tuple[Path, KeyPointOptions | None]:
+    """The recording of a ZIP that has `points.json`, unpacked beside the ZIP; any other file as it is.
+
+    Raises BadClips.
+    """
+    if not zipfile.is_zipfile(path):
+        return path, None
+    try:
+        with zipfile.ZipFile(path) as packed:
+            # A Mac adds files of its own.
+            members = [
+                one for one in packed.infolist() if not one.is_dir() and "__MACOSX/" not in one.filename
+            ]
+            said = [one for one in members if Path(one.filename).name == OPTIONS]
+            others = [one for one in members if one not in said]
+            if not said:
+                return path, None
+            if len(said) + len(others) != 2:
+                raise BadClips(
+                    f"A ZIP with `{OPTIONS}` has one recording beside it, not {len(others)} files."
+                )
+            if said[0].file_size > _LARGEST_OPTIONS or others[0].file_size > _LARGEST_RECORDING:
+                raise BadClips(f"The ZIP is too large: its recording may have {_LARGEST_RECORDING:,} bytes.")
+            options = options_of(packed.read(said[0]))
+            recording = path.with_name(f"{path.name}.recording")
+            recording.write_bytes(packed.read(others[0]))
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+        raise BadClips(f"The ZIP is not whole: {error}.") from None
+    return recording, options
+
+
+def options_of(content: bytes) -> KeyPointOptions:
+    """Raises BadClips with the field."""
+    try:
+        json.loads(content, object_pairs_hook=_unique)
+        return KeyPointOptions.model_validate_json(content)
+    except ValidationError as error:
+        found = error.errors()[0]
+        place = ".".join(str(part) for part in found["loc"])
+        raise BadClips(f"`{OPTIONS}`{f' at `{place}`' if place else ''}: {found['msg']}.") from None
+    except (ValueError, RecursionError) as error:
+        raise BadClips(f"`{OPTIONS}` is no JSON: {error}.") from None
+
+
+def seconds_for(found: KeyPoints) -> int:
+    """The processor time that solving may take. Raises BadClips for a recording that is too long."""
+    num_frames, num_points = found.points.shape[:2]
+    if num_frames * num_points > MOST_POINTS:
+        raise BadClips(
+            f"The recording has {num_frames:,} frames of {num_points} key points; {MOST_POINTS:,} points are "
+            f"solved at most, which are {MOST_POINTS // num_points:,} frames. Cut it into several files."
+        )
+    return round(num_frames * num_points * _SECONDS_A_POINT)
+
+
+def solved(
+    found: KeyPoints, options: KeyPointOptions, model: mujoco.MjModel, *, rate: float, name: str
+) -> Solved:
+    """The clip that follows the recording. rate: frames per second. Raises BadClips."""
+    said = options.names or found.names
+    mapping = options.points or _ready(said, found.points.shape[1], model)
+    names = _names(said or tuple(mapping), found)
+    scale, warnings = _scale(found.points, names, mapping, model, options)
+    points = found.points * scale + np.array([0.0, 0.0, options.lift])
+    solution = solve(points, names, mapping, model, rate=rate, name=name, rounds=options.fit_offsets)
+    facts = [
+        _facts(one, point, solution, solution.distances[:, names.index(one)])
+        for one, point in mapping.items()
+    ]
+    if said is None:
+        warnings.append(f"The file has no names: its key points are taken to be {', '.join(names)}.")
+    if left := [one for one in names if one not in mapping]:
+        warnings.append(f"The key points {listed(left)} are not used: `points` does not name them.")
+    return Solved(solution.clip, facts, [*warnings, *_misfits(facts, solution, scale, model)])
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"it has {next(name for name in names if names.count(name) > 1)!r} twice")
+    return found
+
+
+@cache
+def _rodent() -> Mapping[str, BodyPoint]:
+    """The key points of DANNCE's rat on dm_control's. The bodies are those of stac-mjx's `rodent.yaml`; the
+    offsets of joints are read off the model, those of the head and the spine estimated."""
+    return _READY.validate_json(Path(__file__).with_name("rodent_points.json").read_bytes())
+
+
+def _ready(names: Sequence[str] | None, number: int, model: mujoco.MjModel) -> Mapping[str, BodyPoint]:
+    """The rat's points, where this is its body and these its key points. Raises BadClips elsewhere."""
+    ready = _rodent()
+    bodies = {str(model.body(body).name) for body in range(model.nbody)}
+    fits = len(ready) == number if names is None else ready.keys() <= set(names)
+    if fits and {point.body for point in ready.values()} <= bodies:
+        return ready
+    has = f"{number} key points without names" if names is None else f"the key points {listed(names)}"
+    raise BadClips(
+        f"The file has {has}, and does not say which points of the body they are: send it in a ZIP with "
+        f"`{OPTIONS}`, as docs/imitation.md says."
+    )
+
+
+def _names(names: Sequence[str], found: KeyPoints) -> Sequence[str]:
+    """Raises BadClips if they are not those of the file."""
+    if len(names) != found.points.shape[1]:
+        raise BadClips(
+            f"The file has {found.points.shape[1]} key points and {len(names)} names: give `names` in "
+            f"`{OPTIONS}`."
+        )
+    if twice := [name for name in names if list(names).count(name) > 1]:
+        raise BadClips(f"Two key points are called {twice[0]!r}.")
+    return names
+
+
+def _scale(
+    points: Array,
+    names: Sequence[str],
+    mapping: Mapping[str, BodyPoint],
+    model: mujoco.MjModel,
+    options: KeyPointOptions,
+) -> tuple[float, list[str]]:
+    """Metres of one of the file's units, with a sentence where these are not metres and nobody said so."""
+    theirs, ours = spreads(points, names, mapping, model)
+    if not ours:
+        raise BadClips("The points of the body are all in one place.")
+    units = _UNITS if options.scale is None else {"given": options.scale}
+    for unit, scale in units.items():
+        if 1 / _APART < theirs * scale / ours < _APART:
+            told = (
+                f"The key points are read as {unit}: as metres, they are {theirs / ours:,.0f} times as large."
+            )
+            return scale, [told] if unit in ("millimetres", "centimetres") else []
+    raise BadClips(
+        f"The key points are {theirs * (options.scale or 1.0) / ours:.3g} times as far apart as the body's: "
+        f"give `scale` in `{OPTIONS}`, metres of one of the file's units."
+    )
+
+
+def _facts(name: str, point: BodyPoint, solution: Solution, distances: Array) -> KeyPointFacts:
+    """distances: [T] m, NaN where it was not seen."""
+    seen = distances[np.isfinite(distances)]
+    x, y, z = solution.offsets[name].round(6).tolist()
+    return KeyPointFacts(
+        name=name,
+        body=point.body,
+        offset=(x, y, z),
+        num_seen=len(seen),
+        mean_distance=float(seen.mean()) if len(seen) else None,
+        worst_distance=float(seen.max()) if len(seen) else None,
+    )
+
+
+def _misfits(
+    facts: Sequence[KeyPointFacts], solution: Solution, scale: float, model: mujoco.MjModel
+) -> Iterator[str]:
+    size, num_frames = skeleton_of(model).size, solution.clip.num_frames
+    if far := [one.name for one in facts if (one.mean_distance or 0) > _FAR * size]:
+        worst = max(one.mean_distance or 0 for one in facts)
+        yield (
+            f"The key points {listed(far)} are on average up to {worst * 1000:.0f} mm from the body's: "
+            "they may be others than `points` says."
+        )
+    if abs(solution.spread - 1) > _OTHER_SIZE:
+        yield (
+            f"The body's points are {solution.spread:.2f} times as far apart as the key points: a `scale` of "
+            f"{scale * solution.spread:.3g} fits better."
+        )
+    if seldom := [one.name for one in facts if one.num_seen < _SELDOM * num_frames]:
+        yield f"The key points {listed(seldom)} are seen in less than half of the frames."
