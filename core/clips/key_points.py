@@ -3,6 +3,7 @@
 import json
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -174,8 +175,9 @@ def _names(names: Sequence[str], found: KeyPoints) -> Sequence[str]:
             f"The file has {found.points.shape[1]} key points and {len(names)} names: give `names` in "
             f"`{OPTIONS}`."
         )
-    if twice := [name for name in names if list(names).count(name) > 1]:
-        raise BadClips(f"Two key points are called {twice[0]!r}.")
+    if len(set(names)) < len(names):
+        twice = next(name for name, number in Counter(names).items() if number > 1)
+        raise BadClips(f"Two key points are called {twice!r}.")
     return names
 
 
@@ -194,7 +196,7 @@ def _scale(
     for unit, scale in units.items():
         if 1 / _APART < theirs * scale / ours < _APART:
             told = (
-                f"The key points are read as {unit}: as metres, they are {theirs / ours:,.0f} times as large."
+                f"The key points are read as {unit}: in metres they are {theirs / ours:,.0f} times the body."
             )
             return scale, [told] if unit in ("millimetres", "centimetres") else []
     raise BadClips(

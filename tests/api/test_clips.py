@@ -15,7 +15,16 @@ import httpx
 import pytest
 
 from api import uploads as route
-from core.clips.record import ARCHIVE, REPLAY, SCENE, ClipFacts, ClipsDescription, MadeFile, clips_id
+from core.clips.record import (
+    ARCHIVE,
+    REPLAY,
+    SCENE,
+    ClipFacts,
+    ClipsDescription,
+    KeyPointFacts,
+    MadeFile,
+    clips_id,
+)
 from core.errors import JobFailed
 from core.jobs.store import JobQuery
 from core.reasons import Reason
@@ -35,6 +44,11 @@ DESCRIPTION = ClipsDescription(
         ClipFacts(name="turn", num_frames=51, rate=50.0, seconds=1.0),
     ],
     joints=["hip_1"],
+    key_points=[
+        KeyPointFacts(
+            name="knee", body="shin", offset=(0, 0, 0), num_seen=90, mean_distance=0.002, worst_distance=0.01
+        )
+    ],
     made={
         name: MadeFile(sha256=hashlib.sha256(body).hexdigest(), size=len(body)) for name, body in MADE.items()
     },
@@ -101,6 +115,7 @@ def test_clips_are_answered_with_what_is_in_them(stack: Stack) -> None:
     assert (document["name"], document["body"], document["rate"]) == ("gaits", "g1", 50.0)
     assert [clip["name"] for clip in document["description"]["clips"]] == ["walk", "turn"]
     assert document["description"]["clips"][0]["warnings"] == ["A foot slides."]
+    assert document["description"]["key_points"][0]["mean_distance"] == 0.002
     assert stack.http.get(f"/clips/{document['id']}").json() == document == again.json()
     assert stack.http.get("/clips", params={"name": "gaits"}).json()["items"] == [document]
     assert stack.http.get(document["links"]["file"]).content == FILE

@@ -7,7 +7,7 @@ import pytest
 from core.clips import archive
 from gaitway.client import Client
 from gaitway.errors import Conflict, Rejected
-from tests.unit.worker.validation.test_clips import HOPS, hop
+from tests.unit.worker.validation.test_clips import HOPS, hop, hop_seen
 
 pytestmark = [pytest.mark.extra, pytest.mark.timeout(300)]  # It compiles an update.
 
@@ -43,3 +43,17 @@ def test_a_body_trains_to_follow_clips_that_were_sent(client: Client, tmp_path: 
     client.delete_clips(clips.id)
     with pytest.raises(Rejected, match="There are no clips"):
         client.submit(environment=environment, algorithm=ALGORITHM)
+
+
+def test_key_points_are_sent_with_what_they_are(client: Client, tmp_path: Path) -> None:
+    recording, points = hop_seen()
+    (model_file := tmp_path / "hops.xml").write_bytes(HOPS)
+    (file := tmp_path / "hops.npz").write_bytes(recording)
+    model = client.add_model(model_file)
+    clips = client.add_clips(file, model.id, points=points)
+    assert clips.description is not None
+    assert max(one.mean_distance or 1 for one in clips.description.key_points) < 1e-3
+    assert client.add_clips(file, model.id, points=points).id == clips.id
+    assert client.add_clips(file, model.id, points=points | {"lift": 0.01}).id != clips.id
+    with pytest.raises(Rejected, match="does not say which points of the body they are"):
+        client.add_clips(file, model.id)

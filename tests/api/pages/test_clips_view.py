@@ -28,6 +28,7 @@ def test_clips_are_sent_described_and_deleted(tab: Tab, stack: Stack) -> None:
     expect(card.get_by_text("2 clips (csv), 1 joints")).to_be_visible()
     expect(card.get_by_text("101 frames at 50/s, 2.0 s")).to_be_visible()
     expect(card.get_by_text("A foot slides.")).to_be_visible()
+    expect(card.get_by_text("how far from the body they are on average: knee 2.0 mm.")).to_be_visible()
     assert flaws(page) == []
     card.get_by_role("button", name="Delete").click()
     card.get_by_role("button", name="Yes").click()

@@ -1,7 +1,11 @@
 """A file of clips in the confined process: what is found, kept and refused."""
 
+import io
 import json
 import signal
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -108,6 +112,64 @@ def test_what_a_file_holds_is_kept_with_its_archive_and_a_replay(
     assert first.joint_velocities is not None
     header, _ = read_replay(objects.get(keys.made_of_clips(found.id, REPLAY)))
     assert [episode["name"] for episode in header["episodes"]] == ["hop", "stay"]
+
+
+def hop_seen() -> tuple[bytes, dict[str, Any]]:
+    """Key points of the hop in mm, an NPZ, and which of its body they are: three of the trunk, which stays
+    upright, and the end of the leg."""
+    clip = hop()
+    trunk, angle = clip.root_position, clip.joint_positions[:, 0]
+    offsets = {"a": [0.1, 0.1, 0.0], "b": [0.1, -0.1, 0.0], "c": [-0.1, 0.0, 0.05]}
+    toe = trunk + np.stack([-0.4 * np.sin(angle), 0 * angle, -0.05 - 0.4 * np.cos(angle)], axis=1)
+    points = np.stack([*(trunk + offset for offset in offsets.values()), toe], axis=1)
+    recording = io.BytesIO()
+    np.savez(recording, key_points=1000 * points, names=np.array([*offsets, "toe"]), fps=50.0)
+    said = {name: {"body": "trunk", "offset": offset} for name, offset in offsets.items()}
+    said["toe"] = {"body": "leg", "offset": [0.0, 0.0, -0.4]}
+    return recording.getvalue(), {"points": said, "fit_offsets": 0}
+
+
+def test_key_points_become_a_clip_of_their_body(tmp_path: Path, stores: dict[str, Any]) -> None:
+    recording, points = hop_seen()
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as file:
+        file.writestr("points.json", json.dumps(points))
+        file.writestr("recording.npz", recording)
+    found = sent(packed.getvalue(), stores, tmp_path)
+    assert (found.status, found.message) == ("ready", None)
+    described = found.description
+    assert described is not None
+    assert (described.format, described.joints, described.num_replayed) == ("key points", ["knee"], 1)
+    assert [(one.name, one.num_seen) for one in described.key_points] == [
+        (n, 26) for n in ["a", "b", "c", "toe"]
+    ]
+    assert max(one.worst_distance or 1 for one in described.key_points) < 0.002
+    assert any("read as millimetres" in warning for warning in described.clips[0].warnings)
+    (kept := tmp_path / "kept.npz").write_bytes(stores["objects"].get(keys.made_of_clips(found.id, ARCHIVE)))
+    [solved] = archive.from_file(kept)
+    np.testing.assert_allclose(solved.joint_positions, hop().joint_positions, atol=5e-3)
+
+
+def test_clips_that_are_deleted_while_they_are_read_end_their_process(
+    tmp_path: Path, stores: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Deleting(MemoryObjectStore):
+        """Somebody deletes the clips as soon as a worker has fetched them."""
+
+        @contextmanager
+        def open(self, key: str, **how: Any) -> Iterator[Any]:
+            with super().open(key, **how) as pieces:
+                content = list(pieces)
+            for record in stores["store"].clips.all():
+                library.forget(record.id, store=stores["store"].clips, objects=self)
+            yield content
+
+    monkeypatch.setattr("worker.validation.confined._ASKS_EVERY_S", 0.01)
+    stores["objects"] = Deleting()
+    with pytest.raises(ClipsNotFound):
+        sent(archive.to_bytes([hop()]), stores, tmp_path)
+    assert not (tmp_path / "spool" / "answer.json").exists()
+    assert list(stores["objects"].list(keys.clip_files())) == []
 
 
 class Watched(MemoryObjectStore):
