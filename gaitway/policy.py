@@ -16,9 +16,9 @@ Policy = Callable[..., "jax.Array"]
 Reader = Callable[[bytes, bool, bool], tuple[Any, Any]]
 
 
-READERS = ("dqn", "ppo", "q_learning", "sac")
+READERS = ("distillation", "dqn", "ppo", "q_learning", "sac")
 # Their policies are read from the files for programs elsewhere; their own files are for Brax.
-_EXPORTED = ("ppo", "sac")
+_EXPORTED = ("distillation", "ppo", "sac")
 
 
 def file_of(job: JobView, step: int | None, best: bool, seed: int | None) -> ArtifactView:
@@ -98,6 +98,8 @@ def _reader(algorithm: str) -> Reader:
     match algorithm:
         case "ppo":
             return partial(networks.load, networks.PPO)
+        case "distillation":
+            return partial(networks.load, networks.DISTILLATION)
         case "sac":
             return partial(networks.load, networks.SAC)
         case "dqn":

@@ -163,7 +163,8 @@ class Task(Stored):
     step. policy_of: the algorithm, where it is the file of a policy instead. policy_seed: whose policy to
     take from a checkpoint of several seeds. best: of a training's earlier attempts, one for each seed. model:
     path of the user's own model, if the job names one. clips: paths of the clips that its reference names, by
-    their ids. decoder: path of the policy whose decoder acts, if the job's task names one.
+    their ids. decoder: path of the policy whose decoder acts, if the job's task names one. experts: of a
+    distillation, the path of each expert's policy and the algorithm that made it.
     engines_that_cannot: engines that cannot run it, with
     the reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint,
     which `auto` then takes again. source_engine: the engine that moved the environments in another job's
@@ -186,6 +187,7 @@ class Task(Stored):
     model: str | None = None
     clips: dict[str, str] = {}
     decoder: str | None = None
+    experts: tuple[tuple[str, str], ...] = ()
     engines_that_cannot: dict[EngineName, str] = {}
     body: BodySize | None = None
     begun_on: EngineName | None = None

@@ -22,7 +22,7 @@ from core.jobs import feeds
 from core.jobs.job import Artifact, Job
 from core.jobs.metrics import Block, Newest
 from core.jobs.resolved import filled_in, model_of
-from core.jobs.spec import decoder_job
+from core.jobs.spec import decoder_job, experts_of
 from core.jobs.uploads import clip_files_of
 from core.storage import keys
 from core.storage.objects import check_whole, read_whole
@@ -139,6 +139,8 @@ def export(job: Job, service: Service) -> Iterator[ZipMember]:
         contents.lacks(f"the checkpoint of job {source.job}", "that is another job, which has its own export")
     if (decoder := decoder_job(job.spec.environment)) is not None:
         contents.lacks(f"the decoder of job {decoder}", "that is another job, which has its own export")
+    for expert in experts_of(job.spec):
+        contents.lacks(f"the policy of job {expert}", "that is another job, which has its own export")
     yield from _files(job, service, contents)
     yield _json("contents.json", vars(contents))
 

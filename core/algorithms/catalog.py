@@ -7,6 +7,7 @@ from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
+from core.algorithms.distillation import spec as distillation
 from core.algorithms.dqn import spec as dqn
 from core.algorithms.dqn import tuned as dqn_tuned
 from core.algorithms.memory import MemoryNeed
@@ -33,7 +34,7 @@ def _default_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> 
 
 
 AlgorithmSpec = Annotated[
-    ppo.PPOSpec | dqn.DQNSpec | QLearningSpec | sac.SACSpec,
+    ppo.PPOSpec | dqn.DQNSpec | QLearningSpec | sac.SACSpec | distillation.DistillationSpec,
     Field(discriminator="kind"),
     WrapValidator(_default_unless_it_says),
 ]
@@ -110,6 +111,15 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             sac.refusal,
             sac.least_memory,
             layers=sac.layers,
+            no_export=None,
+        ),
+        AlgorithmInfo(
+            distillation.DistillationSpec,
+            "core.algorithms.distillation.learner:Distillation",
+            "core.algorithms.distillation.learner:load",
+            refusal=distillation.refusal,
+            least_memory=distillation.least_memory,
+            layers=distillation.layers,
             no_export=None,
         ),
     )

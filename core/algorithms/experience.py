@@ -1,6 +1,6 @@
 """Acting, also at random: the transitions that one update learns from, and whether they are finite."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -13,10 +13,11 @@ from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import Transition
 from core.algorithms.evaluation import Policy, clearly_named
 from core.algorithms.lost_body import Steps, first_lost
+from core.algorithms.sharding import ONE_DEVICE, Sharding
 from core.algorithms.spec import EpsilonShape
 from core.environments.body_position import body_position
 from core.environments.environment import Environment, State
-from core.environments.wrappers.autoreset import Episodes, draw, follow, without_lost
+from core.environments.wrappers.autoreset import Episodes, draw, follow, fresh_pool, without_lost
 from core.environments.wrappers.clip_parts import parts_reached
 from core.environments.wrappers.terrain_levels import chosen_starts
 from core.environments.wrappers.vectorized import VectorEnv
@@ -68,7 +69,24 @@ class StepOutcomes:
     parts: Int[Array, "*T N"] | None = None
 
 
-def collect(
+def drawn_starts(
+    envs: VectorEnv, key: jax.Array, shape: tuple[int, int], pool_size: int, sharding: Sharding = ONE_DEVICE
+) -> Starts | None:
+    """Initial states of one update's episodes: drawn from its key, so that no state has to hold them.
+
+    shape: (num_steps, num_envs). pool_size: 0: every environment returns to its own first state, and there
+    are none.
+    """
+    if not pool_size:
+        return None
+    pool_key, choose_key = jax.random.split(key)
+    return Starts(
+        pool=sharding.everywhere(fresh_pool(envs, pool_key, pool_size)),
+        chosen=sharding.split(jax.random.randint(choose_key, shape, 0, pool_size), axis=1),
+    )
+
+
+def collect(  # noqa: PLR0913 - all but three are named
     envs: VectorEnv,
     policy: Policy,
     episodes: Episodes,
@@ -76,22 +94,25 @@ def collect(
     *,
     episode_length: int,
     starts: Starts | None = None,
+    seen: Callable[[State], Any] = lambda state: state.obs,
 ) -> tuple[Episodes, tuple[Transition, StepOutcomes]]:
     """Act once with each of the keys [num_steps, ...]; the results' first axes are [num_steps, num_envs].
 
-    starts: None if every environment returns to its own first state, which `episodes` then holds.
+    starts: None if every environment returns to its own first state, which `episodes` then holds. seen: what
+    the policy is given of states, and what a transition has as its observation.
     """
     where = jax.vmap(body_position(envs.environment.model, envs.environment.tracked_body))
 
     def act(episodes: Episodes, step_inputs: Any) -> tuple[Episodes, tuple[Transition, StepOutcomes]]:
         key, chosen = step_inputs
-        action, extras = policy(episodes.state.obs, key)
+        observation = seen(episodes.state)
+        action, extras = policy(observation, key)
         moved = envs.step(episodes.state, action)
         reached, lost = without_lost(episodes.state, moved)
         fresh = None if starts is None else starts.after(envs.environment, reached, chosen)
         after = follow(episodes, reached, fresh, episode_length=episode_length)
         transition = Transition(
-            observation=episodes.state.obs,
+            observation=observation,
             action=(),  # pyright: ignore[reportArgumentType]
             reward=after.state.reward,
             discount=1 - after.state.done,
@@ -190,6 +211,18 @@ def summarise(outcome: StepOutcomes) -> dict[str, Float[Array, ""]]:
         "falls": jnp.sum(outcome.fell),
     }
     return {name: jnp.mean(values) for name, values in means.items()} | sums
+
+
+def training_metrics(sums: Mapping[str, Any], num_updates: int, action_repeat: int) -> dict[str, float]:
+    """Means over an epoch, under Brax's names. Lengths count environment steps."""
+    values = {name: float(value) for name, value in sums.items()}
+    episodes, score, length, falls = (values.pop(name) for name in ("episodes", "score", "length", "falls"))
+    metrics = {f"training/{name}": value / num_updates for name, value in values.items()}
+    if episodes:
+        metrics["training/episode_reward"] = score / episodes
+        metrics["training/episode_length"] = length / episodes * action_repeat
+        metrics["training/fall_rate"] = falls / episodes
+    return metrics
 
 
 def greedy(values: Float[Array, "*N choices"]) -> Int[Array, "*N"]:

@@ -47,19 +47,20 @@ def make_run(  # noqa: PLR0913 - all of them are named
     resume: bytes | None = None,
     devices: int = 1,
     epoch_s: float = 1.0,
+    experts: Sequence[Any] = (),
 ) -> "Run[Any]":
     """A run of the algorithm that the settings belong to.
 
     environment: one environment; the algorithm steps copies of it side by side. settings: resolved, see
     `core.algorithms.catalog.resolve`. seed: not used if the run resumes. devices: how many of JAX's devices
-    share the run, those of other hosts included; the result differs only by rounding. For the others see
-    `Run`.
+    share the run, those of other hosts included; the result differs only by rounding. experts: of a
+    distillation, the `TrainedPolicy` of each. For the others see `Run`.
 
     Raises Rejected where the settings, the environment or the devices do not go together;
     JobFailed("bad_model") where the environment lacks what they need; and whatever `Run` raises.
     """
     algorithm = loaded(ALGORITHMS[settings.algorithm()].algorithm)(
-        environment, settings, seed=seed, devices=devices
+        environment, settings, seed=seed, devices=devices, **({"experts": experts} if experts else {})
     )
     return Run(algorithm, checkpoint_every_steps=checkpoint_every_steps, resume=resume, epoch_s=epoch_s)
 

@@ -83,6 +83,11 @@ class BaseSpec(Strict):
             raise Rejected(detail, [Problem("/seeds", detail)])
 
 
+def rejected(detail: str, *names: str) -> Rejected:
+    """The refusal of these hyperparameters together."""
+    return Rejected(detail, [Problem(f"/algorithm/{name}", detail) for name in names])
+
+
 def changed_beside_checkpoint(wanted: BaseSpec, made_with: BaseSpec) -> list[str]:
     """The names of what differs, and may not in a run that resumes from a checkpoint: fields, and what
     follows from them."""

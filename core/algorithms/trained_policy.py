@@ -30,12 +30,14 @@ class TrainedPolicy:
 
     acting: how it acts in an environment like the one it was trained in. A caller without an environment uses
     `gaitway.policy`. activations: makes the reader of its layers, or raises NotExportable; None: it has no
-    layers that can be read.
+    layers that can be read. answer: (parameters, observations [..., n], key) -> actions [..., action_size];
+    None: it takes more than observations.
     """
 
     parameters: Any
     acting: Callable[[Environment], Acting]
     activations: Callable[[], ActivationReader] | None = None
+    answer: Callable[[Any, Any, jax.Array], jax.Array] | None = None
 
 
 def of_network(
@@ -59,7 +61,7 @@ def of_network(
     def activations() -> ActivationReader:
         return ActivationReader(network_in(parameters), latent_noise)
 
-    return TrainedPolicy(parameters, acting, activations)
+    return TrainedPolicy(parameters, acting, activations, answer)
 
 
 def policy_from_checkpoint(

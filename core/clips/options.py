@@ -1,5 +1,7 @@
 """Which clips a job takes, and how it changes them: parts of its specification. No numerical code."""
 
+from collections.abc import Sequence
+from itertools import chain, count
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -33,3 +35,18 @@ class ClipChoice(Strict):
         if self.to_s is not None and self.to_s <= self.from_s:
             raise ValueError(f"to_s = {self.to_s:g} must be greater than from_s = {self.from_s:g}")
         return self
+
+
+def called(name: str, choice: ClipChoice) -> str:
+    """The name that a clip has in a job with this choice."""
+    mirror = " mirrored" if choice.mirror else ""
+    return name + mirror + ("" if choice.speed == 1.0 else f" x{choice.speed:g}")
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """The names, with a number after those that were there before."""
+    found = dict[str, None]()
+    for name in names:
+        candidates = chain([name], (f"{name} {number}" for number in count(2)))
+        found[next(one for one in candidates if one not in found)] = None
+    return list(found)

@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import Any, cast
 
 from core.algorithms.catalog import reported
+from core.algorithms.distillation.spec import DistillationSpec
 from core.algorithms.ppo.network_spec import IntentionNetwork
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.spec import BaseSpec
@@ -58,7 +59,7 @@ def with_decoder(spec: JobSpec, store: JobStore, readable: Collection[str] | Non
     network, had = _network_of(source), _task_of(source)
     if decoder_file(spec.environment, source) is None:
         raise _refusal(f"Job {source.id} has no exported policy of this kind any more.", "which")
-    _check_same_body(info, options, source, had)
+    check_same_body(info, options, source, had)
     if "reference" in had.action.needed and getattr(options, "reference", None) is None:
         raise _refusal(
             f'Job {source.id} was trained with `about`: "reference", so its action is about where a clip has '
@@ -66,7 +67,7 @@ def with_decoder(spec: JobSpec, store: JobStore, readable: Collection[str] | Non
             "tasks.",
             "job",
         )
-    model = _model(source.spec.environment, had, store)
+    model = model_of_task(source.spec.environment, had, store)
     sees = [term.model_dump(mode="json") for term in _seen_by_decoder(had, network, model)]
     if isinstance(options, TaskOptions):  # Others have what the decoder sees: see `terms.lent`.
         _check_sees(sees, options, action.job)
@@ -83,7 +84,7 @@ def with_decoder(spec: JobSpec, store: JobStore, readable: Collection[str] | Non
 
 def why_it_lends_to_few(job: ResolvedJob, settings: BaseSpec) -> str | None:
     """What a training should tell at once, as its decoder will be of no use to tasks without clips."""
-    has_decoder = isinstance(settings, PPOSpec) and settings.network is not None
+    has_decoder = isinstance(settings, PPOSpec | DistillationSpec) and settings.network is not None
     if not has_decoder or "reference" not in getattr(getattr(job.options, "action", None), "needed", ()):
         return None
     return (
@@ -123,9 +124,11 @@ def _network_of(source: Job) -> IntentionNetwork:
     settings = None
     if isinstance(source.spec, TrainSpec):
         settings = reported({"kind": source.spec.algorithm.algorithm(), **used[-1]}) if used else None
+    if isinstance(settings, DistillationSpec):
+        settings = settings.as_ppo
     if not isinstance(settings, PPOSpec) or settings.network is None or settings.network.places is None:
         raise _refusal(
-            f"Job {source.id} has no decoder: it is no training by PPO with an intention `network`.", "job"
+            f"Job {source.id} has no decoder: it is no training with an intention `network`.", "job"
         )
     if source.seeds:
         raise _refusal(
@@ -157,9 +160,8 @@ def _task_of(source: Job) -> TaskOptions:
     return task
 
 
-def _check_same_body(info: EnvironmentInfo, options: Strict, source: Job, had: TaskOptions) -> None:
-    """Refuse another body, another pose or another control step than that with which the decoder was
-    trained."""
+def check_same_body(info: EnvironmentInfo, options: Strict, source: Job, had: TaskOptions) -> None:
+    """Refuse another body, another pose or another control step than that with which the job trained."""
     there = source.spec.environment
     if there.id != (info.decoders_of or info.id):
         raise _refusal(f"Job {source.id} trained {there.id!r}, and this task has {info.id!r}.", "job")
@@ -171,12 +173,13 @@ def _check_same_body(info: EnvironmentInfo, options: Strict, source: Job, had: T
         names += [f"reset.{name}" for name in _OF_THE_POSE if here["reset"][name] != before["reset"][name]]
     if names:
         raise _refusal(
-            f"The decoder of job {source.id} was trained with another {', '.join(names)}: take the same.",
+            f"Job {source.id} was trained with another {', '.join(names)}: take the same.",
             "job",
         )
 
 
-def _model(environment: EnvironmentSpec, options: TaskOptions, store: JobStore) -> Inventory:
+def model_of_task(environment: EnvironmentSpec, options: TaskOptions, store: JobStore) -> Inventory:
+    """What the body has, as the task's options change it. Raises Rejected."""
     if isinstance(options, MjcfOptions):
         return edited(own_model(options, store).inventory, options.edits)
     return inventory_of(environment.id)
@@ -207,7 +210,7 @@ def _seen_by_decoder(
 def _check_sees(sees: Sequence[Mapping[str, Any]], options: TaskOptions, job_id: str) -> None:
     has = [term.model_dump(mode="json") for term in observed(options)]
     if missing := [term for term in sees if term not in has]:
-        named = ", ".join(str(_said(term)) for term in missing)
+        named = ", ".join(str(without_nulls(term)) for term in missing)
         detail = (
             f"The decoder of job {job_id} sees what the observation of this task lacks; add it as it is "
             f"there: {named}."
@@ -215,8 +218,8 @@ def _check_sees(sees: Sequence[Mapping[str, Any]], options: TaskOptions, job_id:
         raise Rejected(detail, [Problem("/environment/options/observation", detail)])
 
 
-def _said(term: Mapping[str, Any]) -> dict[str, Any]:
-    """The term without what is empty."""
+def without_nulls(term: Mapping[str, Any]) -> dict[str, Any]:
+    """A term without what is empty."""
     return {name: value for name, value in term.items() if value is not None}
 
 

@@ -16,6 +16,7 @@ from pydantic import (
 from core.accounts.principal import AccountName
 from core.algorithms.battery.spec import BatterySpec
 from core.algorithms.catalog import ALGORITHMS, DEFAULT_ALGORITHM, AlgorithmSpec
+from core.algorithms.distillation.spec import DistillationSpec
 from core.bounds import LONGEST_NAME, LONGEST_NOTE, MOST_ITEMS, FreeOptions, PastStep
 from core.documents import Strict
 from core.environments.randomization import Randomizations
@@ -467,3 +468,16 @@ def _as_sent(spec: TrainSpec | RolloutSpec) -> dict[str, Any]:
 # fill them where the job runs.
 SentSpec = Annotated[JobSpec, PlainSerializer(_as_sent, return_type=dict[str, Any])]
 JOB_SPEC: TypeAdapter[TrainSpec | RolloutSpec] = TypeAdapter(JobSpec)
+
+
+def experts_of(spec: JobSpec) -> list[str]:
+    """The ids of the jobs from whose policies it learns, each once."""
+    algorithm = spec.algorithm if isinstance(spec, TrainSpec) else None
+    experts = algorithm.experts if isinstance(algorithm, DistillationSpec) else ()
+    return list(dict.fromkeys(expert.job for expert in experts))
+
+
+def lenders_of(spec: JobSpec) -> list[str]:
+    """The ids of the jobs whose policies it needs, besides that of its `source`."""
+    decoder = decoder_job(spec.environment)
+    return [*([] if decoder is None else [decoder]), *experts_of(spec)]

@@ -28,6 +28,7 @@ from core.errors import (
 )
 from core.jobs.checks import check
 from core.jobs.decoders import with_decoder
+from core.jobs.experts import with_experts
 from core.jobs.feeds import store_imported
 from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.metrics import Block
@@ -92,6 +93,7 @@ def new_job(
     check_readable_source(spec, readable, store)
     spec = with_decoder(completed(with_environment(spec, store)), store, readable)
     check_readable_uploads(spec.environment, readable, store)
+    spec = with_experts(spec, store, readable)
     check(spec, store)
     now = store.now()
     return Job(

@@ -17,6 +17,7 @@ from core.errors import (
     TooManySweeps,
 )
 from core.jobs.decoders import check_readable_decoder
+from core.jobs.experts import check_readable_experts
 from core.jobs.job import new_job_id
 from core.jobs.patch import JobPatch, merged
 from core.jobs.queue import PRIORITIES
@@ -35,7 +36,7 @@ log = structlog.get_logger()
 # The reconciler looks at each of them every second.
 MOST_ACTIVE = 100
 # The fields of a job that may name another one, or a model.
-_NAMING_OTHERS = ("resume_from", "policy", "environment")
+_NAMING_OTHERS = ("resume_from", "policy", "environment", "algorithm")
 
 
 def submit_sweep(
@@ -102,6 +103,7 @@ def _check_readable(spec: SweepSpec, readable: Collection[str] | None, store: Sw
 def _check_readable_job(job: JobSpec, readable: Collection[str], store: SweepStore) -> None:
     check_readable_source(job, readable, store)
     check_readable_decoder(job.environment, readable, store)
+    check_readable_experts(job, readable, store)
     check_readable_uploads(job.environment, readable, store)
 
 

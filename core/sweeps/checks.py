@@ -11,6 +11,7 @@ from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
 from core.jobs import checks as job_checks
 from core.jobs.decoders import with_decoder
+from core.jobs.experts import with_experts
 from core.jobs.resolved import resolve_job
 from core.jobs.spec import JOB_SPEC, RolloutSpec, TrainSpec
 from core.jobs.store import JobStore
@@ -254,7 +255,8 @@ def _check_values(spec: SweepSpec, store: JobStore) -> None:
     """Try the ends of the axes, and some values between them, in the job's own checks."""
     for values in islice(_to_try(spec), _MAX_TRIED):
         try:
-            job_checks.check(with_decoder(completed_job(job_of(spec.job, values)), store), store)
+            job = with_decoder(completed_job(job_of(spec.job, values)), store)
+            job_checks.check(with_experts(job, store), store)
         except ValidationError as error:
             found = [_named(one["loc"], str(one["msg"])) for one in error.errors()]
             _raise([_translated(place, detail, spec, values) for place, detail in found])

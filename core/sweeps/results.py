@@ -46,6 +46,10 @@ _OF_ALGORITHMS = {
     },
     "sac": {"critic_loss", "policy_loss", "q_value", "entropy", "alpha"},
     "dqn": {"loss", "q_value", "td_error", "epsilon"},
+    "distillation": {
+        *("total_loss", "action_error", "beta", "grad_norm"),
+        *("latent_kl", "latent_std", "latent_step", "kl_weight"),
+    },
     "q_learning": {"episodes", "num_episodes", "epsilon"},
 }
 

@@ -20,6 +20,7 @@ from gaitway.policies import checkpoint
 
 # Formats of checkpoints.
 PPO, SAC, DQN = "gaitway-ppo-2", "gaitway-sac-1", "gaitway-dqn-1"
+DISTILLATION = "gaitway-distillation-1"  # Its policies are as PPO's.
 # Names in jax.nn.
 _ACTIVATIONS = ("swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus")
 _LEAST_DEVIATION = 0.001

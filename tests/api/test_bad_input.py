@@ -88,7 +88,7 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         (
             MINIMAL | {"algorithm": {"kind": "td3"}},
             "/algorithm/kind",
-            "known are `ppo`, `dqn`, `q_learning`, `sac`",
+            "known are `ppo`, `dqn`, `q_learning`, `sac`, `distillation`",
         ),
         (MINIMAL | {"algorithm": "ppo"}, "/algorithm", "must be an object"),
         (

@@ -19,7 +19,14 @@ from tests import probes
 from tests.learning.dqn_runs import STEPS_PER_UPDATE as DQN_STEPS_PER_UPDATE
 from tests.learning.dqn_runs import dqn_run
 from tests.learning.q_probes import q_run, q_settings, two_rooms
-from tests.learning.runs import INTENTION, STEPS_PER_UPDATE, checkpoints, small_run
+from tests.learning.runs import (
+    INTENTION,
+    STEPS_PER_UPDATE,
+    checkpoints,
+    distillation_run,
+    linear_expert,
+    small_run,
+)
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
 from tests.learning.sac_runs import sac_run
 
@@ -70,6 +77,13 @@ def dqn(environment: Callable[[], Environment], **options: Any) -> tuple[Begin, 
     return lambda **run: dqn_run(environment(), **budget, **kept, **options, **run), DQN_STEPS_PER_UPDATE
 
 
+def distillation(**options: Any) -> tuple[Begin, int]:
+    """A student with an encoder; the teacher's share of the actions falls in the first four updates."""
+    budget = {"num_timesteps": 6 * 128, "episode_length": 5, "num_evals": 2, "beta_steps": 4 * 128}
+    teacher = linear_expert(0.5, 0.4)
+    return lambda **run: distillation_run(probes.intention(), teacher, **budget, **options, **run), 128
+
+
 REPLAYED: dict[str, Any] = {
     "agents": [{}, {"seed": 7, "learning_rate": 0.2}],
     "replay": {"buffer_size": 50, "batch_size": 4},
@@ -83,6 +97,7 @@ REPLAYED: dict[str, Any] = {
         pytest.param(*sac(probe), id="sac-probe"),
         pytest.param(*dqn(probe), id="dqn-probe"),
         pytest.param(*ppo(probes.intention, network=RAMPED), id="ppo-intention"),
+        pytest.param(*distillation(network=RAMPED), id="distillation-intention"),
         pytest.param(*ppo(probe), id="ppo-probe", marks=pytest.mark.extra),
         pytest.param(*ppo(partial(ant, "native")), id="ppo-ant-native", marks=pytest.mark.extra),
         pytest.param(*ppo(partial(ant, "compiled")), id="ppo-ant-compiled", marks=pytest.mark.extra),

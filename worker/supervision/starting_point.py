@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import get_args
 
 from core.algorithms.catalog import reported
+from core.algorithms.distillation.spec import DistillationSpec
 from core.clips.record import ARCHIVE
 from core.environments import catalog
 from core.environments.mjcf.edit_check import edited
@@ -21,6 +22,7 @@ from core.errors import (
 )
 from core.jobs.attempts import Claim
 from core.jobs.decoders import decoder_file
+from core.jobs.experts import expert_file
 from core.jobs.job import Artifact, Attempt, Job
 from core.jobs.resolved import engines_that_cannot, model_of
 from core.jobs.source import source_artifact
@@ -65,7 +67,7 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
     best = (_best_so_far(job, seed, claim, spool, notes) for seed in job.seeds or (None,))
     task = task.model_copy(update={"best": tuple(filter(None, best))})
     task = _with_clips(_with_model(task, claim, spool), claim, spool)
-    task = _with_decoder(task, claim, spool)
+    task = _with_experts(_with_decoder(task, claim, spool), claim, spool)
     (spool / "task.json").write_text(task.model_dump_json())
     return notes
 
@@ -181,6 +183,26 @@ def _with_decoder(task: Task, claim: Claim, spool: Path) -> Task:
     if (damage := _fetch(file, claim.objects, spool / _DECODER)) is not None:
         raise JobFailed(Reason.BAD_CHECKPOINT, f"The decoder of job {job_id}: {damage}")
     return task.model_copy(update={"decoder": _DECODER})
+
+
+def _with_experts(task: Task, claim: Claim, spool: Path) -> Task:
+    """The task with the policies that a distillation learns from."""
+    algorithm = task.spec.algorithm if isinstance(task.spec, TrainSpec) else None
+    experts = algorithm.experts if isinstance(algorithm, DistillationSpec) else ()
+    found: list[tuple[str, str]] = []
+    for number, expert in enumerate(experts):
+        path = f"expert-{number}"
+        try:
+            source = claim.store.get(expert.job)
+        except (JobNotFound, JobUnreadable) as error:
+            raise JobFailed(Reason.BAD_CHECKPOINT, f"An expert is gone. {error.detail}") from None
+        file = expert_file(expert, source)
+        if file is None or not isinstance(source.spec, TrainSpec):
+            raise JobFailed(Reason.BAD_CHECKPOINT, f"Job {expert.job}, an expert, has no policy.")
+        if (damage := _fetch(file, claim.objects, spool / path)) is not None:
+            raise JobFailed(Reason.BAD_CHECKPOINT, f"The expert of job {expert.job}: {damage}")
+        found.append((path, source.spec.algorithm.algorithm()))
+    return task.model_copy(update={"experts": tuple(found)})
 
 
 def _choice(engine: str | None) -> EngineName | None:

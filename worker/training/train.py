@@ -25,6 +25,7 @@ from core.algorithms.memory import MemoryNeed
 from core.algorithms.run import Run, make_run
 from core.algorithms.seeds import make_seeds_run
 from core.algorithms.spec import BaseSpec
+from core.algorithms.trained_policy import load_policy
 from core.environments.info import Device
 from core.errors import JobFailed
 from core.jobs.decoders import why_it_lends_to_few
@@ -194,6 +195,10 @@ def begin_or_resume(
             checkpoint_every_steps=every,
             resume=resume,
             devices=built.num_devices,
+            experts=[
+                load_policy((events.spool / path).read_bytes(), kind, is_checkpoint=False)
+                for path, kind in task.experts
+            ],
         )
         return run, [PolicyInTraining(spec, events, lambda: run.step, run.policy)]
     together = make_seeds_run(

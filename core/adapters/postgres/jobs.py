@@ -10,6 +10,7 @@ from psycopg.errors import UniqueViolation
 from sqlalchemy import (
     Boolean,
     Connection,
+    and_,
     any_,
     bindparam,
     delete,
@@ -27,6 +28,7 @@ from core.accounts.principal import Ownership
 from core.adapters.postgres import feeds, leases, listing, quotas, rows, saving, sorting
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.tables import (
+    HAS_EXPERTS,
     NOW,
     UNFINISHED,
     artifacts,
@@ -48,7 +50,7 @@ from core.errors import (
 )
 from core.jobs.job import Attempt, Job, UnreadableJob, check_job_id
 from core.jobs.patch import JobPatch, patched
-from core.jobs.spec import decoder_job
+from core.jobs.spec import lenders_of
 from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Entry, Idempotency, JobPage, JobQuery, Mark
 from core.jobs.uploads import clip_files_of
@@ -70,15 +72,16 @@ class JobQueries(Session):
         is_queued = job.status == JobStatus.QUEUED
         source = job.spec.source if is_queued else None
         is_limited = is_queued and self._limits_queue(job.ownership)
-        decoder = decoder_job(job.spec.environment) if is_queued else None
+        lenders = lenders_of(job.spec) if is_queued else []
         names_clips = is_queued and bool(clip_files_of(job.spec.environment))
-        is_more = bool(job.attempts or job.artifacts or source or decoder or names_clips or is_limited)
+        is_more = bool(job.attempts or job.artifacts or source or lenders or names_clips or is_limited)
         try:
             with self._transaction() if is_more else self._statements() as connection:
                 if source is not None and not rows.hold_source(connection, source):
                     raise JobNotFound(source.job)
-                if decoder is not None and not rows.hold_job(connection, decoder):
-                    raise JobNotFound(decoder)
+                for lender in lenders:
+                    if not rows.hold_job(connection, lender):
+                        raise JobNotFound(lender)
                 if names_clips and (gone := rows.hold_clips(connection, job.spec.environment)):
                     raise ClipsNotFound(gone[0])
                 if is_limited:
@@ -303,7 +306,8 @@ def delete_job(connection: Connection, job_id: str, version: int) -> None:
 
 
 def borrowers_of(job_id: str) -> Any:
-    """The unfinished jobs that need a checkpoint of this one, or its decoder: `id`, `source_step`."""
+    """The unfinished jobs that need a checkpoint of this one, or its policy: `id`, `source_step`."""
     wanted = select(jobs.c.id, jobs.c.source_step)
-    needs = or_(jobs.c.source == job_id, jobs.c.decoder == job_id)
+    learns = and_(jobs.c.experts.contains([job_id]), HAS_EXPERTS)
+    needs = or_(jobs.c.source == job_id, jobs.c.decoder == job_id, learns)
     return wanted.where(jobs.c.status.in_(UNFINISHED), needs).order_by(jobs.c.id)

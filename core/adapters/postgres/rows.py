@@ -36,7 +36,7 @@ from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
 from core.jobs.patch import JobPatch
 from core.jobs.queue import queue_of
 from core.jobs.sharing import alike
-from core.jobs.spec import JOB_SPEC, EnvironmentSpec, Source, TrainSpec, decoder_job
+from core.jobs.spec import JOB_SPEC, EnvironmentSpec, Source, TrainSpec, decoder_job, experts_of
 from core.jobs.status import JobStatus
 from core.jobs.uploads import clip_files_of
 
@@ -158,6 +158,7 @@ def new_job_values(job: Job) -> Values:
         "source": None if spec.source is None else spec.source.job,
         "source_step": None if spec.source is None else spec.source.step,
         "decoder": decoder_job(spec.environment),
+        "experts": experts_of(spec),
         "spec": json.dumps(job.model_dump(mode="json", include={"spec"})["spec"]),
         "created_at": job.created_at,
         "progress": None if job.progress == Progress() else job.progress.model_dump_json(),

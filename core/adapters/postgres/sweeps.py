@@ -19,7 +19,7 @@ from core.adapters.postgres.listing import Part
 from core.adapters.postgres.tables import NOW, jobs, sweeps, trials
 from core.errors import IdempotencyKeyReused, JobNotFound, StaleSweep, SweepNotFound, TooManySweeps
 from core.jobs.job import JOB_ID, Job
-from core.jobs.spec import decoder_job
+from core.jobs.spec import lenders_of
 from core.jobs.store import ANYBODYS, Idempotency, Whose
 from core.sweeps.news import news_of_sweep
 from core.sweeps.spec import SWEEP_SPEC
@@ -172,8 +172,8 @@ class SweepQueries(Session):
                 if job.spec.source is not None:
                     # Where the source was deleted, the trial's attempt says so.
                     rows.hold_job(connection, job.spec.source.job)
-                if (decoder := decoder_job(job.spec.environment)) is not None:
-                    rows.hold_job(connection, decoder)
+                for lender in lenders_of(job.spec):
+                    rows.hold_job(connection, lender)
                 rows.hold_clips(connection, job.spec.environment)
                 quotas.check_queue(connection, job.ownership)
                 add_job(connection, job)

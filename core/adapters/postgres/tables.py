@@ -36,7 +36,6 @@ Labels are JSONB, for their index.
 from typing import Any
 
 from sqlalchemy import (
-    ARRAY,
     BigInteger,
     Boolean,
     Column,
@@ -55,7 +54,7 @@ from sqlalchemy import (
     func,
     text,
 )
-from sqlalchemy.dialects.postgresql import INTERVAL, JSONB, TIMESTAMP
+from sqlalchemy.dialects.postgresql import ARRAY, INTERVAL, JSONB, TIMESTAMP
 
 metadata = MetaData()
 # The database's clock; unlike CURRENT_TIMESTAMP it advances within a transaction.
@@ -98,6 +97,8 @@ jobs = Table(
     Column("source_step", BigInteger),
     # The job whose decoder acts in its task.
     Column("decoder", Text),
+    # The jobs from whose policies it learns.
+    Column("experts", ARRAY(Text), nullable=False, server_default="{}"),
     Column("spec", Text, nullable=False),
     Column("status", Text, nullable=False),
     Column("reason", Text),
@@ -174,6 +175,8 @@ Index("jobs_unfinished", jobs.c.id, postgresql_where=_IS_UNFINISHED)
 Index("jobs_yielding", jobs.c.yields_to, postgresql_where=jobs.c.yields_to.isnot(None))
 Index("jobs_by_source", jobs.c.source, postgresql_where=_IS_UNFINISHED)
 Index("jobs_by_decoder", jobs.c.decoder, postgresql_where=_IS_UNFINISHED)
+HAS_EXPERTS = text("experts <> '{}'")
+Index("jobs_by_experts", jobs.c.experts, postgresql_using="gin", postgresql_where=HAS_EXPERTS)
 
 
 def _of_job() -> Column[Any]:

@@ -18,7 +18,7 @@ from core.algorithms.dqn.network import QNetwork, acting, td_loss
 from core.algorithms.dqn.policy import FORMAT, write_policy
 from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.evaluation import EpisodeTotals, Policy, evaluation_metrics, run_episodes
-from core.algorithms.experience import any_not_finite, decayed, find_failure, summarise
+from core.algorithms.experience import any_not_finite, decayed, find_failure, summarise, training_metrics
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.acting import (
     Experience,
@@ -27,7 +27,6 @@ from core.algorithms.off_policy.acting import (
     normalize,
     observation_size,
     progress,
-    training_metrics,
 )
 from core.algorithms.q_learning.discrete_env import make_action_set
 from core.algorithms.sharding import ONE_DEVICE

@@ -1,4 +1,4 @@
-"""The first half of an update: environments act, and what they see is kept; and an epoch's metrics."""
+"""The first half of an update: environments act, and what they see is kept."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
@@ -14,11 +14,11 @@ from core.algorithms.brax_training import (
     running_statistics,
 )
 from core.algorithms.evaluation import Policy
-from core.algorithms.experience import Starts, StepOutcomes, collect
+from core.algorithms.experience import StepOutcomes, collect, drawn_starts
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.spec import OffPolicySpec
 from core.environments.environment import Environment
-from core.environments.wrappers.autoreset import Episodes, fresh_pool, start_episodes
+from core.environments.wrappers.autoreset import Episodes, start_episodes
 from core.environments.wrappers.clip_parts import counted, first_record, under_record
 from core.environments.wrappers.curriculum import at_progress, progress_at
 from core.environments.wrappers.vectorized import VectorEnv
@@ -77,7 +77,9 @@ def act(
         before.episodes,
         jax.random.split(act_key, settings.unroll_length),
         episode_length=settings.actions_per_episode,
-        starts=_starts(starting, settings, starts_key),
+        starts=drawn_starts(
+            starting, starts_key, (settings.unroll_length, settings.num_envs), settings.reset_pool_size
+        ),
     )
     normalizer = before.normalizer
     if settings.normalize_observations:
@@ -112,18 +114,6 @@ def observation_size(environment: Environment, settings: OffPolicySpec) -> int:
     return size
 
 
-def _starts(envs: VectorEnv, settings: OffPolicySpec, key: jax.Array) -> Starts | None:
-    """Initial states of one update's episodes: drawn from its key, so that no state has to hold them."""
-    if settings.returns_to_first_state:
-        return None
-    pool_key, choose_key = jax.random.split(key)
-    shape = (settings.unroll_length, settings.num_envs)
-    return Starts(
-        pool=fresh_pool(envs, pool_key, settings.reset_pool_size),
-        chosen=jax.random.randint(choose_key, shape, 0, settings.reset_pool_size),
-    )
-
-
 def _rows(transitions: Transition, outcome: StepOutcomes) -> replays.ReplayRows:
     extras = cast("Any", transitions.extras)
     return replays.ReplayRows(
@@ -133,15 +123,3 @@ def _rows(transitions: Transition, outcome: StepOutcomes) -> replays.ReplayRows:
         ended=outcome.fell,
         truncated=extras["state_extras"]["truncation"],
     )
-
-
-def training_metrics(sums: Mapping[str, Any], num_updates: int, action_repeat: int) -> dict[str, float]:
-    """Means over an epoch, under Brax's names. Lengths count environment steps."""
-    values = {name: float(value) for name, value in sums.items()}
-    episodes, score, length, falls = (values.pop(name) for name in ("episodes", "score", "length", "falls"))
-    metrics = {f"training/{name}": value / num_updates for name, value in values.items()}
-    if episodes:
-        metrics["training/episode_reward"] = score / episodes
-        metrics["training/episode_length"] = length / episodes * action_repeat
-        metrics["training/fall_rate"] = falls / episodes
-    return metrics

@@ -9,9 +9,9 @@ from pydantic import Field
 
 from core.algorithms.memory import FLOAT_BYTES, MemoryPart, shown
 from core.algorithms.ppo.spec import Activation
-from core.algorithms.spec import BaseSpec, check_curriculum
+from core.algorithms.spec import BaseSpec, check_curriculum, rejected
 from core.environments.info import EnvironmentInfo
-from core.errors import Problem, Rejected
+from core.errors import Rejected
 
 
 class OffPolicySpec(BaseSpec):
@@ -146,11 +146,6 @@ def replay_refusal(
         or _too_large_for_a_checkpoint(settings, environment, numbers_per_action)
         or check_curriculum(settings.reset_pool_size, environment)
     )
-
-
-def rejected(detail: str, *names: str) -> Rejected:
-    """The refusal of these hyperparameters together."""
-    return Rejected(detail, [Problem(f"/algorithm/{name}", detail) for name in names])
 
 
 def _too_few_rows(settings: OffPolicySpec) -> Rejected | None:

@@ -26,14 +26,15 @@ from core.algorithms.brax_training import (
 from core.algorithms.checkpoint import Format, describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
 from core.algorithms.experience import (
-    Starts,
     any_not_finite,
     bootstrap_timeouts,
     collect,
     cut_into_unrolls,
+    drawn_starts,
     find_failure,
     of_whole_episodes,
     summarise,
+    training_metrics,
 )
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
 from core.algorithms.ppo.intention import LATENT_METRICS
@@ -54,7 +55,7 @@ from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.sharding import ONE_DEVICE, Sharding
 from core.environments.environment import Environment
 from core.environments.wrappers.action_repeat import repeat_action
-from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_pool, start_episodes
+from core.environments.wrappers.autoreset import Episodes, begun_at_random, start_episodes
 from core.environments.wrappers.clip_parts import counted, first_record, under_record
 from core.environments.wrappers.curriculum import at_progress, progress_at, progress_metrics
 from core.environments.wrappers.vectorized import VectorEnv
@@ -158,7 +159,13 @@ class Learner:
             state.episodes,
             jax.random.split(act_key, settings.actions_per_update),
             episode_length=settings.actions_per_episode,
-            starts=self._starts(starts_key, self._envs_at(progress, state.record)),
+            starts=drawn_starts(
+                self._envs_at(progress, state.record),
+                starts_key,
+                (settings.actions_per_update, settings.num_envs),
+                settings.reset_pool_size,
+                self.sharding,
+            ),
         )
         learnt_from = transitions
         if settings.bootstrap_on_timeout:
@@ -230,20 +237,6 @@ class Learner:
         per_update = self.settings.actions_per_update
         enough = -(-self.settings.actions_per_episode // per_update)
         return jnp.minimum(state.num_updates, enough) * per_update
-
-    def _starts(self, key: jax.Array, starting: VectorEnv) -> Starts | None:
-        """Initial states of one update's episodes: drawn from its key, so that no state has to hold them."""
-        settings = self.settings
-        if settings.returns_to_first_state:
-            return None
-        pool_key, choose_key = jax.random.split(key)
-        shape = (settings.actions_per_update, settings.num_envs)
-        return Starts(
-            pool=self.sharding.everywhere(fresh_pool(starting, pool_key, settings.reset_pool_size)),
-            chosen=self.sharding.split(
-                jax.random.randint(choose_key, shape, 0, settings.reset_pool_size), axis=1
-            ),
-        )
 
     def _learn(
         self, state: TrainingState, batch: Transition, hyperparameters: Hyperparameters, key: jax.Array
@@ -388,16 +381,7 @@ class PPO:
     def training_metrics(
         self, state: TrainingState, sums: Mapping[str, Any], num_updates: int
     ) -> dict[str, float]:
-        """Lengths are in environment steps."""
-        values = {name: float(value) for name, value in sums.items()}
-        names = ("episodes", "score", "length", "falls")
-        episodes, score, length, falls = (values.pop(name) for name in names)
-        metrics = {f"training/{name}": value / num_updates for name, value in values.items()}
-        if episodes:
-            metrics["training/episode_reward"] = score / episodes
-            metrics["training/episode_length"] = length / episodes * self.settings.action_repeat
-            metrics["training/fall_rate"] = falls / episodes
-        return metrics
+        return training_metrics(sums, num_updates, self.settings.action_repeat)
 
     def after_evaluation(
         self, state: TrainingState, totals: EpisodeTotals

@@ -10,6 +10,7 @@ from flax import serialization
 
 from core.algorithms.activations import LatentNoise
 from core.algorithms.brax_training import init_normalizer
+from core.algorithms.checkpoint import Format
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, Triple, config_of, read_policy
 from core.algorithms.ppo.learner import FORMAT
 from core.algorithms.ppo.networks import acting, make_networks
@@ -37,9 +38,12 @@ def make_inference(params: PolicyParams | Triple, *, deterministic: bool = True)
     return act
 
 
-def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
-    """The policy of a checkpoint or a policy file, ready to act. Raises JobFailed if it is damaged."""
-    params = policy_from_checkpoint(content) if is_checkpoint else read_policy(content)
+def load(
+    content: bytes, *, is_checkpoint: bool, deterministic: bool = True, form: Format = FORMAT
+) -> TrainedPolicy:
+    """The policy of a checkpoint of this form or a policy file, ready to act. Raises JobFailed if it is
+    damaged."""
+    params = policy_from_checkpoint(content, form) if is_checkpoint else read_policy(content)
 
     def answer(params: PolicyParams, observation: Any, key: jax.Array) -> jax.Array:
         return make_inference(params, deterministic=deterministic)(observation, key)
@@ -57,20 +61,21 @@ def _latent_noise(params: PolicyParams) -> LatentNoise | None:
     return lambda key: policy(anything, key)[1]["latent_noise"]
 
 
-def policy_from_checkpoint(content: bytes) -> PolicyParams:
+def policy_from_checkpoint(content: bytes, form: Format = FORMAT) -> PolicyParams:
     """The policy of a checkpoint, arrays on the host. Raises JobFailed if it is damaged."""
-    header, state = FORMAT.read(content)
+    header, state = form.read(content)
     template = jax.device_get(init_normalizer(header["observation_size"]))
     normalizer: Any = serialization.from_state_dict(template, state["normalizer"])
-    return PolicyParams(
-        normalizer, state["params"]["policy"], state["params"]["value"], PolicyConfig.of(header)
-    )
+    params = state["params"]
+    return PolicyParams(normalizer, params["policy"], params.get("value", {}), PolicyConfig.of(header))
 
 
 def _sizes(params: PolicyParams | Triple) -> tuple[ObservationSize, int, PPOSpec]:
     """Observation size, action size, and settings with the networks that these parameters were made for."""
     normalizer, policy, value = params
-    facts = asdict(config_of(params)) | {"value_hidden_layer_sizes": _layers(value)[1:-1]}
+    facts = asdict(config_of(params))
+    if value:  # A distilled policy has none.
+        facts["value_hidden_layer_sizes"] = _layers(value)[1:-1]
     if places := facts.pop("encoder_places"):
         encoder, last_layers = (
             _layers({"params": policy["params"][name]}) for name in ("encoder", "decoder")

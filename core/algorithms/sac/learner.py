@@ -16,7 +16,7 @@ from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import RunningStatisticsState
 from core.algorithms.checkpoint import describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
-from core.algorithms.experience import any_not_finite, find_failure, summarise
+from core.algorithms.experience import any_not_finite, find_failure, summarise, training_metrics
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.acting import (
     Experience,
@@ -25,7 +25,6 @@ from core.algorithms.off_policy.acting import (
     normalize,
     observation_size,
     progress,
-    training_metrics,
 )
 from core.algorithms.off_policy.replay import Sample
 from core.algorithms.sac.networks import Networks, Params, make_networks, projected

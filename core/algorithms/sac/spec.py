@@ -13,11 +13,11 @@ from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptr
 from core.algorithms.off_policy.spec import (
     OffPolicySpec,
     environments_part,
-    rejected,
     replay_part,
     replay_refusal,
 )
 from core.algorithms.ppo.network_spec import LayerSizes
+from core.algorithms.spec import rejected
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
 

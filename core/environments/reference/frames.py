@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, count
 from pathlib import Path
 
 import mujoco
@@ -12,7 +11,7 @@ from core.clips import clip as clips
 from core.clips.archive import from_file
 from core.clips.clip import Clip
 from core.clips.mirror import mirror_of, mirrored
-from core.clips.options import ClipChoice
+from core.clips.options import ClipChoice, called, distinct
 from core.clips.skeleton import skeleton_of
 from core.environments.terms.followed import Followed
 from core.environments.terms.reference import Frame
@@ -53,7 +52,7 @@ def frames_of(
     lengths = np.array([len(part.qpos) for part in parts])
     return Frames(
         frames=Frame(*(np.concatenate(rows).astype(np.float32) for rows in zip(*parts, strict=True))),
-        names=_distinct([one.name for one, _ in chosen]),
+        names=distinct([one.name for one, _ in chosen]),
         weights=np.array([weight for _, weight in chosen]),
         starts=np.concatenate([[0], np.cumsum(lengths)[:-1]]),
         lengths=lengths,
@@ -100,21 +99,7 @@ def _changed(clip: Clip, choice: ClipChoice, rate: float, model: mujoco.MjModel)
     clip = clips.resampled(clip, rate)
     if clip.num_frames < 2:
         raise _bad(f"The clip {clip.name!r} lasts less than a control step of {1 / rate:g} s.")
-    return replace(clip, name=_called(clip.name, choice))
-
-
-def _called(name: str, choice: ClipChoice) -> str:
-    mirror = " mirrored" if choice.mirror else ""
-    return name + mirror + ("" if choice.speed == 1.0 else f" x{choice.speed:g}")
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """The names, with a number after those that were there before."""
-    found = dict[str, None]()
-    for name in names:
-        candidates = chain([name], (f"{name} {number}" for number in count(2)))
-        found[next(one for one in candidates if one not in found)] = None
-    return list(found)
+    return replace(clip, name=called(clip.name, choice))
 
 
 def _check_size(num_frames: int, model: mujoco.MjModel, num_bodies: int) -> None:

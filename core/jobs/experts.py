@@ -1,0 +1,220 @@
+"""The policies of other jobs from which a distillation learns: whether each fits, what it sees, its clips.
+
+What a submission finds is stored in the experts, so that a worker needs their policies alone.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+from core.algorithms.catalog import ALGORITHMS, reported
+from core.algorithms.distillation.spec import EXPERTS, DistillationSpec, Expert
+from core.clips.options import ClipChoice, called, distinct
+from core.documents import Strict
+from core.environments.info import CRITIC_GROUP, POLICY_GROUP, EnvironmentInfo
+from core.environments.terms.inventory import Inventory
+from core.environments.terms.observations import ObservationTerm
+from core.environments.terms.page import task_of
+from core.environments.terms.task import TaskOptions, observed, parts_of
+from core.errors import ClipsNotFound, JobNotFound, JobUnreadable, Problem, Rejected
+from core.jobs.decoders import check_same_body, model_of_task, without_nulls
+from core.jobs.job import Artifact, Job
+from core.jobs.resolved import resolve_environment
+from core.jobs.source import difference
+from core.jobs.spec import JobSpec, TrainSpec
+from core.jobs.status import JobStatus
+from core.jobs.store import JobStore
+from core.patterns import matching
+from core.uploads import library
+
+_FILLED_IN = ("clip_names", "sees", "places")
+# Of a reference, what the observation of it means.
+_SHOWN_OF_A_REFERENCE = ("ahead", "bodies", "anchor", "end_effectors")
+# A critic sees terms without these.
+_NOISE = {"noise", "bias", "delay"}
+
+
+def expert_file(expert: Expert, source: Job) -> Artifact | None:
+    """The policy of an expert's job: that of its end, or of its best evaluation."""
+    return source.newest("best_policy" if expert.which == "best" else "policy")
+
+
+def with_experts(spec: JobSpec, store: JobStore, readable: Collection[str] | None = None) -> JobSpec:
+    """The specification, whose experts say what they see, and for which clips they answer.
+
+    readable: the projects whose jobs it may use; None: all. Raises Rejected where a job does not exist, has
+    no policy to learn from, or is of another body, where the task lacks what it sees, and where a clip has no
+    expert or several.
+    """
+    if not isinstance(spec, TrainSpec) or not isinstance(spec.algorithm, DistillationSpec):
+        return spec
+    check_readable_experts(spec, readable, store)
+    info, options = resolve_environment(spec.environment, store)
+    experts: list[Expert] = []
+    for number, expert in enumerate(spec.algorithm.experts):
+        try:
+            experts.append(_filled_in(expert, spec, info, options, store))
+        except Rejected as refused:
+            places = [one.pointer for one in refused.problems if one.pointer.endswith("/observation")]
+            places.append(f"{EXPERTS}/{number}/{refused.problems[0].pointer.rpartition('/')[2] or 'job'}")
+            raise Rejected(refused.detail, [Problem(place, refused.detail) for place in places]) from None
+    algorithm = spec.algorithm.model_copy(update={"experts": experts})
+    if experts:
+        algorithm.num_of_expert(_names(_choices(options), store))
+    return spec.model_copy(update={"algorithm": algorithm})
+
+
+def check_readable_experts(spec: JobSpec, readable: Collection[str] | None, store: JobStore) -> None:
+    """Refuse an expert in another project, in the words for a job that does not exist."""
+    algorithm = spec.algorithm if isinstance(spec, TrainSpec) else None
+    if readable is None or not isinstance(algorithm, DistillationSpec):
+        return
+    for number, expert in enumerate(algorithm.experts):
+        with suppress(JobNotFound):  # Its own check says so.
+            if store.owner_of(expert.job).project not in readable:
+                detail = JobNotFound(expert.job).detail
+                raise Rejected(detail, [Problem(f"{EXPERTS}/{number}/job", detail)])
+
+
+def _filled_in(
+    expert: Expert, spec: TrainSpec, info: EnvironmentInfo, options: Strict, store: JobStore
+) -> Expert:
+    """Raises Rejected, with a field of the expert or with the observation as the place."""
+    source = _source(expert.job, store)
+    if expert_file(expert, source) is None:
+        raise _refusal(f"Job {source.id} has no policy of this kind.", "which")
+    key, (row, had) = _seen_by(source), resolve_environment(source.spec.environment)
+    here, before = task_of(info, options), task_of(row, had)
+    found: dict[str, Any] = {"sees": key, "places": None, "clip_names": None}
+    # Where the environments are the same but for their clips, an expert sees all that it saw.
+    if differs := difference(source.spec.environment, spec.environment, info.free_in_rollouts):
+        if here is None or before is None:
+            detail = f"The environment of job {source.id} is another one at {differs[0]}: {differs[1]}."
+            raise _refusal(detail, "job")
+        check_same_body(info, options, source, before)
+        if here.action != before.action:
+            raise _refusal(f"Job {source.id} was trained with another action: take the same.", "job")
+        model = model_of_task(spec.environment, here, store)
+        terms = (before.critic or ()) if key == CRITIC_GROUP else observed(before)
+        found["sees"], found["places"] = _places(source.id, terms, before, here, model)
+    _check_shown_alike(options, source.id, had)
+    if _choices(options) and expert.clips is None:
+        found["clip_names"] = _own_clips(source.id, had, store)
+    elif not _choices(options) and expert.clips is not None:
+        raise _refusal("`clips` are those of a task with a `reference`: leave them out.", "clips")
+    for name in _FILLED_IN:
+        said = getattr(expert, name)
+        said = [list(place) for place in said] if name == "places" and said else said
+        if name in expert.model_fields_set and said not in (None, found[name]):
+            raise _refusal(f"`{name}` is not what job {source.id} has: leave it out.", name)
+    return Expert.model_validate({**expert.model_dump(exclude_unset=True), **found})
+
+
+def _source(job_id: str, store: JobStore) -> Job:
+    """The job of an expert, which has succeeded and trained one policy that a network gives."""
+    try:
+        source = store.get(job_id)
+    except (JobNotFound, JobUnreadable) as error:
+        raise _refusal(error.detail, "job") from None
+    detail = None
+    if source.status != JobStatus.SUCCEEDED:
+        detail = f"Job {job_id} is {source.status}; an expert is that of a job that has succeeded."
+    elif not isinstance(source.spec, TrainSpec):
+        detail = f"Job {job_id} is a {source.spec.kind}, and an expert is a trained policy."
+    elif why := ALGORITHMS[source.spec.algorithm.algorithm()].no_export:
+        detail = f"The policy of job {job_id} is no expert: {why}."
+    elif source.seeds:
+        detail = f"Job {job_id} has trained several seeds, and an expert is that of a job with one."
+    if detail is not None:
+        raise _refusal(detail, "job")
+    return source
+
+
+def _seen_by(source: Job) -> str:
+    """The name of the observation that the job's policy sees. Raises Rejected where it holds its actions."""
+    used = [a.details["hyperparameters"] for a in source.attempts if "hyperparameters" in a.details]
+    settings: Any = getattr(source.spec, "algorithm", None)
+    if used:
+        settings = reported({"kind": settings.algorithm(), **used[-1]})
+    if (held := getattr(settings, "action_repeat", 1)) != 1:
+        detail = f"Job {source.id} holds an action for {held} steps; an expert says one in each."
+        raise _refusal(detail, "job")
+    return getattr(settings, "policy_obs_key", POLICY_GROUP)
+
+
+def _check_shown_alike(options: Strict, job_id: str, had: Strict) -> None:
+    """Refuse another meaning of what is seen of a reference."""
+    here, there = (getattr(one, "reference", None) for one in (options, had))
+    if here is None or there is None:
+        return
+    names = [name for name in _SHOWN_OF_A_REFERENCE if getattr(here, name) != getattr(there, name)]
+    if names:
+        shown = ", ".join(f"reference.{name}" for name in names)
+        raise _refusal(f"Job {job_id} was trained with another {shown}: take the same.", "job")
+
+
+def _places(
+    job_id: str, terms: Sequence[ObservationTerm], had: TaskOptions, options: TaskOptions, model: Inventory
+) -> tuple[str, list[list[int]]]:
+    """The observation of this task that has all of an expert's terms, and where each is in it."""
+    there, here = parts_of(had, model), parts_of(options, model)
+    missing: list[ObservationTerm] = []
+    for group, has, ignored in (
+        (POLICY_GROUP, observed(options), set[str]()),
+        (CRITIC_GROUP, options.critic or (), _NOISE),
+    ):
+        found: list[tuple[Mapping[str, Any], list[int]]] = []
+        start = 0
+        for term in has:
+            size = sum(part.size for part in term.slices_of_history(here))
+            found.append((term.model_dump(exclude=ignored), [start, size]))
+            start += size
+        wanted = [
+            (term.model_dump(exclude=ignored), sum(part.size for part in term.slices_of_history(there)))
+            for term in terms
+        ]
+        places = [
+            next((place for one, place in found if one == said and place[1] == size), None)
+            for said, size in wanted
+        ]
+        if None not in places:
+            return group, [place for place in places if place is not None and place[1]]
+        missing = missing or [one for one, place in zip(terms, places, strict=True) if place is None]
+    named = ", ".join(str(without_nulls(term.model_dump(mode="json"))) for term in missing)
+    detail = (
+        f"The expert of job {job_id} sees what the observation of this task lacks; add it as it is there to "
+        f"`observation`, or for the expert alone to `critic`: {named}."
+    )
+    raise Rejected(detail, [Problem("/environment/options/observation", detail)])
+
+
+def _own_clips(job_id: str, had: Strict, store: JobStore) -> list[str]:
+    """The clips of an expert's own job, by name."""
+    try:
+        names = _names(_choices(had), store)
+    except ClipsNotFound:
+        names = []
+    if not names:
+        detail = f"Job {job_id} has no clips of its own, or they were deleted: say by `clips` which it knows."
+        raise _refusal(detail, "clips")
+    return names
+
+
+def _choices(options: Strict) -> Sequence[ClipChoice]:
+    reference: object = getattr(options, "reference", None)
+    return getattr(reference, "clips", ())
+
+
+def _names(choices: Sequence[ClipChoice], store: JobStore) -> list[str]:
+    """The names that clips have in a job with these choices. Raises ClipsNotFound."""
+    names: list[str] = []
+    for choice in choices:
+        description = library.find(choice.file, store.clips).description
+        of_file = [clip.name for clip in description.clips] if description else []
+        wanted = of_file if choice.names is None else matching(choice.names, of_file)
+        names += [called(name, choice) for name in wanted]
+    return distinct(names)
+
+
+def _refusal(detail: str, field: str) -> Rejected:
+    return Rejected(detail, [Problem(f"{EXPERTS}/{field}", detail)])
