@@ -29,11 +29,15 @@ def job(attempts: tuple[Attempt, ...] = (), **spec: Any) -> Job:
     return Job(id="019aa3c2f0b1-5be0c1d2e3", spec=parsed, created_at=NOON, attempts=attempts)
 
 
+# What an algorithm needs besides its defaults on every body.
+NEEDED = {"distillation": {"experts": [{"job": "019aa3c2f0b1-5be0c1d2e4"}]}}
+
+
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_it_is_accepted_as_a_job_and_has_nothing_left_to_fill_in(jobs: JobStore, algorithm: str) -> None:
     accepted = list[str]()
     for environment in OURS:
-        one = job(environment=environment, algorithm={"kind": algorithm})
+        one = job(environment=environment, algorithm={"kind": algorithm, **NEEDED.get(algorithm, {})})
         try:
             check(one.spec, jobs)
         except Rejected:  # The algorithm needs more than its defaults there.
