@@ -129,7 +129,10 @@ def test_a_body_brings_hyperparameters(install: Install) -> None:
     ("tuned", "problem"),
     [
         ('{"ppo": {"cpu": {"num_env": 8}}}', "tuned.ppo.cpu.num_env: Extra inputs are not permitted."),
-        ('{"ppo": {"tpu": {}}}', "tuned.ppo.tpu: there are the algorithms ppo, dqn, q_learning, sac, on cpu"),
+        (
+            '{"ppo": {"tpu": {}}}',
+            "tuned.ppo.tpu: there are the algorithms ppo, dqn, q_learning, sac, distillation, on cpu",
+        ),
         ('{"ppo": {"gpu": {"num_envs": 100, "batch_size": 64}}}', "The body monopod: tuned.ppo.gpu: "),
     ],
 )
