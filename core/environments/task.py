@@ -50,6 +50,7 @@ from core.environments.terms.task import (
     num_substeps,
     observed,
     parts_of,
+    placed_terms,
     reported,
 )
 from core.environments.terms.term import whole_steps
@@ -492,15 +493,9 @@ class TaskEnv(MujocoEnv):
         return self._inventory
 
     def places_of(self, terms: Sequence[ObservationTerm]) -> np.ndarray:
-        parts, found, start = parts_of(self._options, self._inventory), list[np.ndarray](), 0
-        has = list[tuple[ObservationTerm, np.ndarray]]()
-        for term in observed(self._options):
-            end = start + sum(part.size for part in term.slices_of_history(parts))
-            has.append((term, np.arange(start, end)))
-            start = end
-        for term in terms:
-            found += [places for one, places in has if one == term][:1]
-        return np.concatenate([*found, np.array([], int)])
+        has = list(placed_terms(observed(self._options), parts_of(self._options, self._inventory)))
+        found = [next((places for one, places in has if one == term), ()) for term in terms]
+        return np.array([place for places in found for place in places], int)
 
     def simulation(self) -> Simulation:
         if self._playback is not None:

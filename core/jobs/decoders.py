@@ -20,7 +20,7 @@ from core.environments.terms.actions import ActionTerm, DecoderAction
 from core.environments.terms.inventory import Inventory, inventory_of
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.page import task_of
-from core.environments.terms.task import TaskOptions, observed, parts_of
+from core.environments.terms.task import TaskOptions, observed, parts_of, placed_terms
 from core.errors import JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.resolved import ResolvedJob, own_model, resolve_environment
@@ -191,14 +191,11 @@ def _seen_by_decoder(
     """The terms of the observation that the encoder did not see. Raises Rejected where it saw part of one."""
     encoded = {place for start, size in network.places or () for place in range(start, start + size)}
     seen: list[ObservationTerm] = []
-    parts, start = parts_of(had, model), 0
-    for term in observed(had):
-        size = sum(part.size for part in term.slices_of_history(parts))
-        number = len(encoded.intersection(range(start, start + size)))
-        start += size
+    for term, places in placed_terms(observed(had), parts_of(had, model)):
+        number = len(encoded.intersection(places))
         if number == 0:
             seen.append(term)
-        elif number < size:
+        elif number < len(places):
             raise _refusal(
                 f"The encoder of that job saw only a part of its term `{term.label}`: a decoder needs whole "
                 "terms.",

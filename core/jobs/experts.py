@@ -3,7 +3,7 @@
 What a submission finds is stored in the experts, so that a worker needs their policies alone.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -15,7 +15,7 @@ from core.environments.info import CRITIC_GROUP, POLICY_GROUP, EnvironmentInfo
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.page import task_of
-from core.environments.terms.task import TaskOptions, observed, parts_of
+from core.environments.terms.task import TaskOptions, observed, parts_of, placed_terms
 from core.errors import ClipsNotFound, JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.decoders import check_same_body, model_of_task, without_nulls
 from core.jobs.job import Artifact, Job
@@ -163,23 +163,19 @@ def _places(
         (POLICY_GROUP, observed(options), set[str]()),
         (CRITIC_GROUP, options.critic or (), _NOISE),
     ):
-        found: list[tuple[Mapping[str, Any], list[int]]] = []
-        start = 0
-        for term in has:
-            size = sum(part.size for part in term.slices_of_history(here))
-            found.append((term.model_dump(exclude=ignored), [start, size]))
-            start += size
-        wanted = [
-            (term.model_dump(exclude=ignored), sum(part.size for part in term.slices_of_history(there)))
-            for term in terms
-        ]
-        places = [
-            next((place for one, place in found if one == said and place[1] == size), None)
-            for said, size in wanted
-        ]
-        if None not in places:
-            return group, [place for place in places if place is not None and place[1]]
-        missing = missing or [one for one, place in zip(terms, places, strict=True) if place is None]
+        found = [(term.model_dump(exclude=ignored), at) for term, at in placed_terms(has, here)]
+        lacks: list[ObservationTerm] = []
+        places: list[range] = []
+        for term, at in placed_terms(terms, there):
+            wanted = (term.model_dump(exclude=ignored), len(at))
+            place = next((place for one, place in found if (one, len(place)) == wanted), None)
+            if place is None:
+                lacks.append(term)
+            elif place:
+                places.append(place)
+        if not lacks:
+            return group, [[place.start, len(place)] for place in places]
+        missing = missing or lacks
     named = ", ".join(str(without_nulls(term.model_dump(mode="json"))) for term in missing)
     detail = (
         f"The expert of job {job_id} sees what the observation of this task lacks; add it as it is there to "

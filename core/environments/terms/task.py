@@ -1,6 +1,6 @@
 """A task: the terms of an environment, how its episodes begin, and how its physics is stepped."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
@@ -315,6 +315,17 @@ def parts_of(options: TaskOptions, model: Inventory) -> ModelParts:
 def observed(options: TaskOptions) -> Sequence[ObservationTerm]:
     """The terms of the observation."""
     return options.observation or [Qpos(), Qvel()]
+
+
+def placed_terms(
+    terms: Iterable[ObservationTerm], parts: ModelParts
+) -> Iterator[tuple[ObservationTerm, range]]:
+    """Each term of an observation, with the places of its numbers in it."""
+    start = 0
+    for term in terms:
+        end = start + sum(part.size for part in term.slices_of_history(parts))
+        yield term, range(start, end)
+        start = end
 
 
 def reported(options: TaskOptions) -> Sequence[Term]:
