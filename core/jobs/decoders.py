@@ -4,7 +4,6 @@ What a submission finds is stored in the action, so that all who read the job la
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
 from typing import Any, cast
 
 from core.algorithms.catalog import reported
@@ -21,11 +20,11 @@ from core.environments.terms.inventory import Inventory, inventory_of
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.page import task_of
 from core.environments.terms.task import TaskOptions, observed, parts_of, placed_terms
-from core.errors import JobNotFound, JobUnreadable, Problem, Rejected
+from core.errors import Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.resolved import ResolvedJob, own_model, resolve_environment
+from core.jobs.source import check_readable, find_succeeded
 from core.jobs.spec import EnvironmentSpec, JobSpec, TrainSpec, decoder_job
-from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
 
 _ACTION = "/environment/options/action"
@@ -55,7 +54,7 @@ def with_decoder(spec: JobSpec, store: JobStore, readable: Collection[str] | Non
     if not isinstance(action, DecoderAction):
         return spec  # The check of the options has refused it, or will.
     check_readable_decoder(spec.environment, readable, store)
-    source = _source(action.job, store)
+    source = find_succeeded(action.job, "a decoder", store, f"{_ACTION}/job")
     network, had = _network_of(source), _task_of(source)
     if decoder_file(spec.environment, source) is None:
         raise _refusal(f"Job {source.id} has no exported policy of this kind any more.", "which")
@@ -97,25 +96,8 @@ def check_readable_decoder(
     environment: EnvironmentSpec, readable: Collection[str] | None, store: JobStore
 ) -> None:
     """Refuse the decoder of a job in another project, in the words for a job that does not exist."""
-    job_id = decoder_job(environment)
-    if job_id is None or readable is None:
-        return
-    with suppress(JobNotFound):  # Its own check says so.
-        if store.owner_of(job_id).project not in readable:
-            raise _refusal(JobNotFound(job_id).detail, "job")
-
-
-def _source(job_id: str, store: JobStore) -> Job:
-    """The job whose decoder is wanted, which has succeeded."""
-    try:
-        source = store.get(job_id)
-    except (JobNotFound, JobUnreadable) as error:
-        raise _refusal(error.detail, "job") from None
-    if source.status != JobStatus.SUCCEEDED:
-        raise _refusal(
-            f"Job {job_id} is {source.status}; a decoder is that of a job that has succeeded.", "job"
-        )
-    return source
+    if (job_id := decoder_job(environment)) is not None:
+        check_readable(job_id, readable, store, f"{_ACTION}/job")
 
 
 def _network_of(source: Job) -> IntentionNetwork:

@@ -4,7 +4,6 @@ What a submission finds is stored in the experts, so that a worker needs their p
 """
 
 from collections.abc import Collection, Sequence
-from contextlib import suppress
 from typing import Any
 
 from core.algorithms.catalog import ALGORITHMS, reported
@@ -16,13 +15,12 @@ from core.environments.terms.inventory import Inventory
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.page import task_of
 from core.environments.terms.task import TaskOptions, observed, parts_of, placed_terms
-from core.errors import ClipsNotFound, JobNotFound, JobUnreadable, Problem, Rejected
+from core.errors import ClipsNotFound, Problem, Rejected
 from core.jobs.decoders import check_same_body, model_of_task, without_nulls
 from core.jobs.job import Artifact, Job
 from core.jobs.resolved import resolve_environment
-from core.jobs.source import difference
+from core.jobs.source import check_readable, difference, find_succeeded
 from core.jobs.spec import JobSpec, TrainSpec
-from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
 from core.patterns import matching
 from core.uploads import library
@@ -67,13 +65,9 @@ def with_experts(spec: JobSpec, store: JobStore, readable: Collection[str] | Non
 def check_readable_experts(spec: JobSpec, readable: Collection[str] | None, store: JobStore) -> None:
     """Refuse an expert in another project, in the words for a job that does not exist."""
     algorithm = spec.algorithm if isinstance(spec, TrainSpec) else None
-    if readable is None or not isinstance(algorithm, DistillationSpec):
-        return
-    for number, expert in enumerate(algorithm.experts):
-        with suppress(JobNotFound):  # Its own check says so.
-            if store.owner_of(expert.job).project not in readable:
-                detail = JobNotFound(expert.job).detail
-                raise Rejected(detail, [Problem(f"{EXPERTS}/{number}/job", detail)])
+    experts = algorithm.experts if isinstance(algorithm, DistillationSpec) else ()
+    for number, expert in enumerate(experts):
+        check_readable(expert.job, readable, store, f"{EXPERTS}/{number}/job")
 
 
 def _filled_in(
@@ -112,14 +106,9 @@ def _filled_in(
 
 def _source(job_id: str, store: JobStore) -> Job:
     """The job of an expert, which has succeeded and trained one policy that a network gives."""
-    try:
-        source = store.get(job_id)
-    except (JobNotFound, JobUnreadable) as error:
-        raise _refusal(error.detail, "job") from None
+    source = find_succeeded(job_id, "an expert", store, f"{EXPERTS}/job")
     detail = None
-    if source.status != JobStatus.SUCCEEDED:
-        detail = f"Job {job_id} is {source.status}; an expert is that of a job that has succeeded."
-    elif not isinstance(source.spec, TrainSpec):
+    if not isinstance(source.spec, TrainSpec):
         detail = f"Job {job_id} is a {source.spec.kind}, and an expert is a trained policy."
     elif why := ALGORITHMS[source.spec.algorithm.algorithm()].no_export:
         detail = f"The policy of job {job_id} is no expert: {why}."

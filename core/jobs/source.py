@@ -1,6 +1,7 @@
-"""The checkpoint or policy of another job that a job needs: whether that job has it, and whether it fits."""
+"""Another job that a job needs: whether its project may use it, whether it has what is needed, and whether
+that fits."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from typing import Any, cast
 
@@ -10,6 +11,8 @@ from core.jobs.job import Artifact, Job
 from core.jobs.resolved import resolve_environment
 from core.jobs.retention import removed_by_rule
 from core.jobs.spec import EnvironmentSpec, JobSpec, RolloutSpec, Source
+from core.jobs.status import JobStatus
+from core.jobs.store import JobStore
 
 # Numbers below these parts of the options change what an environment pays, how an episode begins and when it
 # ends. A checkpoint's arrays have the same shapes under any of them.
@@ -20,16 +23,46 @@ _MOST_SHOWN = 100
 _Place = tuple[str | int, ...]
 
 
+def check_readable(job_id: str, readable: Collection[str] | None, store: JobStore, pointer: str) -> None:
+    """Refuse a job of another project, in the words for a job that does not exist. Raises Rejected.
+
+    readable: the projects whose jobs may be used; None: all. pointer: where the id stands in the document.
+    A job that does not exist passes: what looks for it refuses it.
+    """
+    if readable is None:
+        return
+    with suppress(JobNotFound):
+        if store.owner_of(job_id).project not in readable:
+            raise _refusal(JobNotFound(job_id).detail, pointer)
+
+
+def find(job_id: str, get: Callable[[str], Job], pointer: str) -> Job:
+    """The job of this id. pointer: where the id stands in the document. Raises Rejected."""
+    try:
+        return get(job_id)
+    except (JobNotFound, JobUnreadable) as error:
+        raise _refusal(error.detail, pointer) from None
+
+
+def find_succeeded(job_id: str, what: str, store: JobStore, pointer: str) -> Job:
+    """The job of this id, which has succeeded. Raises Rejected.
+
+    what: what is wanted of it, for the sentence: "a decoder". pointer: where the id stands in the document.
+    """
+    job = find(job_id, store.get, pointer)
+    if job.status != JobStatus.SUCCEEDED:
+        detail = f"Job {job_id} is {job.status}; {what} is that of a job that has succeeded."
+        raise _refusal(detail, pointer)
+    return job
+
+
 def source_artifact(spec: JobSpec, wanted: Source, get: Callable[[str], Job]) -> Artifact:
     """The checkpoint, or the best policy, of another job that this one needs.
 
     Raises Rejected if it is missing or does not fit.
     """
     job_id, pointer = wanted.job, wanted.pointer
-    try:
-        source = get(job_id)
-    except (JobNotFound, JobUnreadable) as error:
-        raise Rejected(error.detail, [Problem(f"{pointer}/job", error.detail)]) from None
+    source = find(job_id, get, f"{pointer}/job")
     free = _free_options(spec)
     if found := difference(source.spec.environment, spec.environment, free):
         place, values = found
@@ -42,7 +75,7 @@ def source_artifact(spec: JobSpec, wanted: Source, get: Callable[[str], Job]) ->
             detail += " Leave `environment` out to take that of the job."
         raise Rejected(detail, [Problem(place, detail), Problem(f"{pointer}/job", detail)])
     if detail := no_such_seed(source, wanted.seed):
-        raise Rejected(detail, [Problem(f"{pointer}/seed", detail)])
+        raise _refusal(detail, f"{pointer}/seed")
     return _best_policy(source, wanted) if wanted.is_best else _checkpoint(source, wanted.step, pointer)
 
 
@@ -62,7 +95,7 @@ def _best_policy(source: Job, wanted: Source) -> Artifact:
             f"Job {source.id} ({source.status}) has no best policy{of_seed}: either it has not been "
             "evaluated yet, or a version that kept none has trained it."
         )
-        raise Rejected(detail, [Problem(f"{pointer}/which", detail)])
+        raise _refusal(detail, f"{pointer}/which")
     return best
 
 
@@ -75,7 +108,7 @@ def _checkpoint(source: Job, step: int | None, pointer: str) -> Artifact:
         detail = (
             f"Job {source.id} ({source.status}) has {wanted}{known}.{removed_by_rule(source, 'checkpoint')}"
         )
-        raise Rejected(detail, [Problem(pointer if step is None else f"{pointer}/step", detail)])
+        raise _refusal(detail, pointer if step is None else f"{pointer}/step")
     return checkpoint
 
 
@@ -139,3 +172,7 @@ def _is_harmless(place: _Place) -> bool:
 def _shown(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}…"
+
+
+def _refusal(detail: str, pointer: str) -> Rejected:
+    return Rejected(detail, [Problem(pointer, detail)])

@@ -34,6 +34,7 @@ from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.metrics import Block
 from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
 from core.jobs.quotas import check_quotas
+from core.jobs.source import check_readable, find
 from core.jobs.spec import CheckpointPolicy, EnvironmentSpec, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import Chunk, Dispatch, Entry, Idempotency, JobStore
 from core.jobs.uploads import Uploads, named_clips
@@ -126,13 +127,8 @@ def check_notify(spec: JobSpec, project: str, store: NewsStore) -> None:
 
 def check_readable_source(spec: JobSpec, readable: Collection[str] | None, store: JobStore) -> None:
     """Refuse a checkpoint of a job in another project, in the words for a job that does not exist."""
-    source = spec.source
-    if readable is None or source is None:
-        return
-    with suppress(JobNotFound):  # Its own check says so.
-        if store.owner_of(source.job).project not in readable:
-            detail = JobNotFound(source.job).detail
-            raise Rejected(detail, [Problem(f"{source.pointer}/job", detail)])
+    if (source := spec.source) is not None:
+        check_readable(source.job, readable, store, f"{source.pointer}/job")
 
 
 def check_readable_uploads(
@@ -189,10 +185,7 @@ def with_environment(spec: JobSpec, store: JobStore) -> JobSpec:
     if not isinstance(spec.policy, CheckpointPolicy):
         detail = "`environment` is missing; only a rollout of a checkpoint may leave it out."
         raise Rejected(detail, [Problem("/environment", detail)])
-    try:
-        source = store.get(spec.policy.job)
-    except (JobNotFound, JobUnreadable) as error:
-        raise Rejected(error.detail, [Problem("/policy/job", error.detail)]) from None
+    source = find(spec.policy.job, store.get, "/policy/job")
     return spec.model_copy(update={"environment": source.spec.environment})
 
 
