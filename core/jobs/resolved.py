@@ -16,7 +16,7 @@ from core.environments.mjcf.check import problems
 from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.edit_options import ModelEdits
 from core.environments.mjcf.info import MjcfOptions
-from core.environments.terms.inventory import names_by_kind, parts_by_kind
+from core.environments.terms.inventory import inventory_of, names_by_kind, parts_by_kind
 from core.environments.terms.task import task_slices
 from core.errors import EnvironmentNotFound, ModelNotFound, Problem, Rejected
 from core.jobs.job import Job
@@ -86,10 +86,17 @@ def resolve_environment(
         info, options = catalog.resolve(environment.id, environment.options)
     except EnvironmentNotFound as error:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
-    if uploads is not None and isinstance(options, MjcfOptions):
-        info = _row_of(info, options, own_model(options, uploads))
-    if uploads is not None:
-        check_clips(environment, info, uploads)
+    if uploads is None:
+        return info, options
+    description = own_model(options, uploads) if isinstance(options, MjcfOptions) else None
+    if isinstance(options, MjcfOptions) and description is not None:
+        info = _row_of(info, options, description)
+
+    def no_mirror() -> str | None:
+        parts = inventory_of(environment.id) if description is None else description.inventory
+        return parts.no_mirror
+
+    check_clips(environment, info, uploads, no_mirror)
     return info, options
 
 

@@ -50,10 +50,17 @@ def archives_of(environment: EnvironmentSpec, uploads: Uploads) -> dict[str, str
     return {file: said.made[ARCHIVE].sha256 for file, said in found.items() if said is not None}
 
 
-def check_clips(environment: EnvironmentSpec, info: EnvironmentInfo, uploads: Uploads) -> None:
-    """Refuse clips that do not exist, are not validated yet, move another body, or lack what the job names.
+def check_clips(
+    environment: EnvironmentSpec,
+    info: EnvironmentInfo,
+    uploads: Uploads,
+    no_mirror: Callable[[], str | None],
+) -> None:
+    """Refuse clips that do not exist, are not validated yet, move another body, lack what the job names, or
+    are to be mirrored and cannot be.
 
-    info: the environment's row under its options. Raises Rejected.
+    info: the environment's row under its options. no_mirror: why clips of its body cannot be mirrored.
+    Raises Rejected.
     """
     reference: object = getattr(info.option_values, "reference", None)
     choices: Sequence[ClipChoice] = getattr(reference, "clips", ())
@@ -63,6 +70,11 @@ def check_clips(environment: EnvironmentSpec, info: EnvironmentInfo, uploads: Up
         for place, choice in enumerate(choices)
         for field, detail in _clip_problems(choice, environment, info, find)
     ]
+    mirrored = [place for place, choice in enumerate(choices) if choice.mirror]
+    if mirrored and (why := no_mirror()) is not None:
+        problems += [
+            Problem(f"/environment/options/reference/clips/{place}/mirror", why) for place in mirrored
+        ]
     if problems:
         raise Rejected(" ".join(problem.detail for problem in problems[:5]), problems)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import mujoco
 import pytest
 
 from api import uploads as route
@@ -25,13 +26,16 @@ from core.clips.record import (
     MadeFile,
     clips_id,
 )
+from core.environments.terms.describe import inventory
 from core.errors import JobFailed
 from core.jobs.store import JobQuery
 from core.reasons import Reason
 from core.storage import keys
 from core.uploads import library
+from tests.api import test_models
 from tests.api.conftest import Attempt, Stack
 from tests.api.problems import problem
+from tests.unit.clips.bodies import JOINTS, WALKER
 from worker.protocol import Task
 from worker.supervision.starting_point import write_task
 
@@ -123,6 +127,10 @@ def test_clips_are_answered_with_what_is_in_them(stack: Stack) -> None:
     assert stack.http.get(document["links"]["scene"]).headers["content-type"] == "model/gltf-binary"
 
 
+def replaced(description: Any, **changes: Any) -> Any:
+    return description.model_copy(update=changes)
+
+
 def test_the_same_bytes_of_another_body_or_at_another_rate_are_other_clips(stack: Stack) -> None:
     with worker(stack, status="ready", description=DESCRIPTION):
         ids = {send(stack.http, **sent).json()["id"] for sent in ({}, {"rate": 30}, {"body": "humanoid"})}
@@ -212,6 +220,34 @@ def test_clips_of_another_body_are_refused_by_a_joint_that_is_missing(stack: Sta
         stack.http.post("/jobs", json=job({"file": clips}, environment="go1")), 422, "invalid-request"
     )
     assert "are of the body g1, and go1 has no joints called hip_1" in document["detail"]
+
+
+def test_a_mirror_of_a_body_that_is_not_symmetric_is_refused(stack: Stack) -> None:
+    xml = WALKER.replace('<body name="head" pos="0 0 0.35">', '<body name="head" pos="0 0.05 0.35">')
+    parts = inventory(mujoco.MjModel.from_xml_string(xml))
+    with test_models.worker(
+        stack, status="ready", description=replaced(test_models.DESCRIPTION, inventory=parts)
+    ):
+        model = test_models.send(stack.http, xml.encode()).json()["id"]
+    with worker(stack, status="ready", description=replaced(DESCRIPTION, joints=list(JOINTS))):
+        clips = send(stack.http, body=model).json()["id"]
+    plain, mirrored = {"file": clips}, {"file": clips, "mirror": True}
+    options: dict[str, Any] = {
+        "model": model,
+        "edits": {"servos": [{"joints": [".*_knee"], "kp": 50}]},
+        "reference": {"clips": [plain]},
+        "reward": [{"kind": "track_joints"}],
+    }
+    sent: dict[str, Any] = {"kind": "train", "environment": {"id": "mjcf", "options": options}}
+    answer = stack.http.post("/jobs/check", json=sent)
+    assert answer.status_code == 200, answer.text
+    options["reference"] = {"clips": [plain, mirrored]}
+    sweep = {"job": sent, "parameters": {"seed": [1, 2]}}
+    for path, body, base in (("/jobs", sent, ""), ("/jobs/check", sent, ""), ("/sweeps", sweep, "/job")):
+        document = problem(stack.http.post(path, json=body), 422, "invalid-request")
+        [wrong] = document["errors"]
+        assert wrong["pointer"] == f"{base}/environment/options/reference/clips/1/mirror"
+        assert "no joint is the mirror image of `neck`" in wrong["detail"]
 
 
 def test_clips_that_are_not_validated_yet_are_refused(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:

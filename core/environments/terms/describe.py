@@ -8,8 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from core.clips.mirror import mirror_of
+from core.clips.skeleton import skeleton_of
 from core.environments.terms.actuation import kind_of, motor_of
 from core.environments.terms.inventory import Actuator, Inventory, Joint, JointType, Sensor, Sizes
+from core.errors import BadClips
 from core.physics.model import initial_qpos
 from mujoco_compiled import pairs_of_geoms
 
@@ -56,7 +59,16 @@ def inventory(model: mujoco.MjModel) -> Inventory:
         fixed_geoms=[
             name for geom in np.flatnonzero(~moving_geoms(model)).tolist() if (name := model.geom(geom).name)
         ],
+        no_mirror=_why_no_mirror(model),
     )
+
+
+def _why_no_mirror(model: mujoco.MjModel) -> str | None:
+    try:
+        mirror_of(skeleton_of(model))
+    except BadClips as error:
+        return error.detail
+    return None
 
 
 def is_level_plane(model: mujoco.MjModel, geom: int) -> bool:

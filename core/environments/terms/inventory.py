@@ -76,7 +76,8 @@ class Inventory(Stored):
     num_pairs: pairs of geoms that may touch, up to 10,000; None for models described before it was counted.
     colliders: by name, the moving geoms that can touch something, each with its body and those that this one
     is welded to; None as above. num_fixed_colliders: geoms of the world that can be touched. fixed_geoms: by
-    name, all of the world.
+    name, all of the world. no_mirror: why clips of the body cannot be mirrored; None: they can, or the model
+    was described before this was looked at.
     """
 
     joints: list[Joint]
@@ -98,6 +99,7 @@ class Inventory(Stored):
     num_fixed_colliders: int = 0
     fixed_geoms: list[str] = []
     has_level_floor: bool | None = None
+    no_mirror: str | None = None
 
     @property
     def body_size(self) -> BodySize | None:

@@ -92,3 +92,9 @@ def test_parts_without_names_are_called_by_their_body(tmp_path: Path) -> None:
     assert found.bodies == ["world", "dog", "body"]
     assert [joint.name for joint in found.joints] == ["dog free", "body hinge", "body hinge 2"]
     assert found.geoms == ["world geom", "dog geom", "dog geom 3", "dog geom 2"]
+
+
+def test_a_body_that_is_not_symmetric_says_that_clips_of_it_cannot_be_mirrored() -> None:
+    aside = DOG.format(LEG.replace('name="leg"', 'name="leg" pos="0.1 0.3 0.2"').replace("0 1 0", "1 2 3"))
+    assert inventory(model(DOG.format(LEG))).no_mirror is None
+    assert "no joint is the mirror image of `hip`" in (inventory(model(aside)).no_mirror or "")
