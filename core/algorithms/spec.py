@@ -10,6 +10,20 @@ from core.documents import Strict
 from core.environments.info import CRITIC_GROUP, EnvironmentInfo
 from core.errors import Problem, Rejected
 
+NumTimesteps = Annotated[
+    int,
+    Field(
+        ge=1,
+        le=10**12,
+        description="Environment steps to train for, those before a checkpoint that it resumes included.",
+    ),
+]
+NumEnvs = Annotated[int, Field(ge=1, le=2**20, description="Environments that run side by side.")]
+NumEvals = Annotated[
+    int, Field(ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end.")
+]
+NumEvalEnvs = Annotated[int, Field(ge=1, le=2**16, description="Episodes per evaluation.")]
+
 
 class BaseSpec(Strict):
     """An algorithm's hyperparameters; a subclass adds `kind` and its fields.

@@ -9,7 +9,7 @@ from pydantic import Field
 from core.algorithms.memory import MemoryNeed
 from core.algorithms.ppo import spec as ppo
 from core.algorithms.ppo.network_spec import IntentionNetwork, LayerSizes, Place
-from core.algorithms.spec import BaseSpec, rejected
+from core.algorithms.spec import BaseSpec, NumEnvs, NumEvalEnvs, NumEvals, NumTimesteps, rejected
 from core.bounds import LONGEST_NAME
 from core.documents import Strict
 from core.environments.info import POLICY_GROUP, Device, EnvironmentInfo
@@ -74,13 +74,8 @@ class DistillationSpec(BaseSpec):
         description="Whose actions are learnt. Every clip of the job has exactly one; a job without clips "
         "has one expert.",
     )
-    num_timesteps: int = Field(
-        default=3_000_000,
-        ge=1,
-        le=10**12,
-        description="Environment steps to train for, those before a checkpoint that it resumes included.",
-    )
-    num_envs: int = Field(default=256, ge=1, le=2**20, description="Environments that run side by side.")
+    num_timesteps: NumTimesteps = 3_000_000
+    num_envs: NumEnvs = 256
     episode_length: int = Field(
         default=1000, ge=1, le=10**6, description="Steps after which an episode is cut off."
     )
@@ -126,10 +121,8 @@ class DistillationSpec(BaseSpec):
         description="Bound on normalised observations, in standard deviations: what hardly differs in the "
         "first update may be far from its mean in some state. null: no bound.",
     )
-    num_evals: int = Field(
-        default=10, ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end."
-    )
-    num_eval_envs: int = Field(default=16, ge=1, le=2**16, description="Episodes per evaluation.")
+    num_evals: NumEvals = 10
+    num_eval_envs: NumEvalEnvs = 16
     policy_hidden_layer_sizes: LayerSizes = [256, 256, 256]
     network: IntentionNetwork | None = Field(
         default=None,

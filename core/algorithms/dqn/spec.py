@@ -9,7 +9,7 @@ from core.algorithms.off_policy.spec import OffPolicySpec, environments_part, re
 from core.algorithms.ppo.network_spec import LayerSizes
 from core.algorithms.q_learning.checks import problems_of_the_actions
 from core.algorithms.q_learning.spec import ActionSetOptions, choice_space
-from core.algorithms.spec import EpsilonSchedule
+from core.algorithms.spec import EpsilonSchedule, NumEnvs, NumTimesteps
 from core.environments.info import Device, EnvironmentInfo, FiniteSpace
 from core.errors import Rejected
 
@@ -39,13 +39,8 @@ class DQNSpec(OffPolicySpec):
     action_set: ActionSetOptions | None = Field(
         default=None, description="The choices: what each of the network's outputs is the value of."
     )
-    num_timesteps: int = Field(
-        default=500_000,
-        ge=1,
-        le=10**12,
-        description="Environment steps to train for, those before a checkpoint that it resumes included.",
-    )
-    num_envs: int = Field(default=32, ge=1, le=2**20, description="Environments that run side by side.")
+    num_timesteps: NumTimesteps = 500_000
+    num_envs: NumEnvs = 32
     unroll_length: int = Field(
         default=1, ge=1, le=10_000, description="Actions of each environment from one learning to the next."
     )

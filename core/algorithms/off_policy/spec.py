@@ -9,7 +9,15 @@ from pydantic import Field
 
 from core.algorithms.memory import FLOAT_BYTES, MemoryPart, shown
 from core.algorithms.ppo.spec import Activation
-from core.algorithms.spec import BaseSpec, check_curriculum, rejected
+from core.algorithms.spec import (
+    BaseSpec,
+    NumEnvs,
+    NumEvalEnvs,
+    NumEvals,
+    NumTimesteps,
+    check_curriculum,
+    rejected,
+)
 from core.environments.info import EnvironmentInfo
 from core.errors import Rejected
 
@@ -24,13 +32,8 @@ class OffPolicySpec(BaseSpec):
     arguments: ClassVar[tuple[str, ...]] = ("learning_rate", "discounting", "reward_scaling", "tau")
     why_no_seeds: ClassVar[str | None] = None
 
-    num_timesteps: int = Field(
-        default=2_000_000,
-        ge=1,
-        le=10**12,
-        description="Environment steps to train for, those before a checkpoint that it resumes included.",
-    )
-    num_envs: int = Field(default=128, ge=1, le=2**20, description="Environments that run side by side.")
+    num_timesteps: NumTimesteps = 2_000_000
+    num_envs: NumEnvs = 128
     episode_length: int = Field(
         default=1000,
         ge=1,
@@ -85,10 +88,8 @@ class OffPolicySpec(BaseSpec):
         le=1e6,
         description="Bound on normalised observations, in standard deviations. null: no bound, as in Brax.",
     )
-    num_evals: int = Field(
-        default=10, ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end."
-    )
-    num_eval_envs: int = Field(default=16, ge=1, le=2**16, description="Episodes per evaluation.")
+    num_evals: NumEvals = 10
+    num_eval_envs: NumEvalEnvs = 16
     activation: Activation = Field(
         default="relu", description="Activation function of all networks, by Brax's name."
     )

@@ -11,7 +11,7 @@ from pydantic import Field
 from core.algorithms.layers import intention, plain
 from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptron
 from core.algorithms.ppo.network_spec import IntentionNetwork, LayerSizes
-from core.algorithms.spec import BaseSpec, check_curriculum
+from core.algorithms.spec import BaseSpec, NumEnvs, NumEvalEnvs, NumEvals, NumTimesteps, check_curriculum
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
@@ -61,13 +61,8 @@ class PPOSpec(BaseSpec):
     trains_in_parts: ClassVar[bool] = True
 
     kind: Literal["ppo"] = "ppo"
-    num_timesteps: int = Field(
-        default=3_000_000,
-        ge=1,
-        le=10**12,
-        description="Environment steps to train for, those before a checkpoint that it resumes included.",
-    )
-    num_envs: int = Field(default=256, ge=1, le=2**20, description="Environments that run side by side.")
+    num_timesteps: NumTimesteps = 3_000_000
+    num_envs: NumEnvs = 256
     episode_length: int = Field(
         default=1000,
         ge=1,
@@ -154,10 +149,8 @@ class PPOSpec(BaseSpec):
         description="Bound on normalised observations, in standard deviations. null: no bound, as in Brax.",
     )
     normalize_advantage: bool = True
-    num_evals: int = Field(
-        default=10, ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end."
-    )
-    num_eval_envs: int = Field(default=16, ge=1, le=2**16, description="Episodes per evaluation.")
+    num_evals: NumEvals = 10
+    num_eval_envs: NumEvalEnvs = 16
     deterministic_eval: bool = True
     policy_hidden_layer_sizes: LayerSizes = [32, 32, 32, 32]
     network: IntentionNetwork | None = Field(

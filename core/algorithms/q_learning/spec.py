@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from core.algorithms.spec import BaseSpec, EpsilonSchedule, Share
+from core.algorithms.spec import BaseSpec, EpsilonSchedule, NumEvals, Share
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo, FiniteSpace
 from core.environments.options import Range
@@ -268,9 +268,7 @@ class QLearningSpec(BaseSpec):
     policy_agent: Literal["best", "first"] = Field(
         default="best", description="Whose table is the policy: best in the last evaluation, or the first's."
     )
-    num_evals: int = Field(
-        default=5, ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end."
-    )
+    num_evals: NumEvals = 5
     num_eval_envs: int = Field(
         default=16, ge=1, le=2**16, description="Episodes of each agent in an evaluation, the same for all."
     )
