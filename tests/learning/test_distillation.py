@@ -1,5 +1,6 @@
 """One policy learns from experts of which everything is known."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,8 @@ def test_an_expert_sees_its_own_places_and_a_student_may_have_an_encoder() -> No
 def test_what_does_not_fit_is_refused_before_it_begins(tmp_path: Path) -> None:
     with pytest.raises(JobFailed, match=r"sees 3 numbers, gives 1 .*; here it would see 2"):
         distillation_run(probes.intention(), linear_expert(1, 2, 3))
+    with pytest.raises(JobFailed, match="needs more than an observation"):
+        distillation_run(probes.intention(), replace(linear_expert(1, 2), answer=None))
     environment = flying(tmp_path)
     with pytest.raises(Rejected, match="The clip 'back' has no expert"):
         distillation_run(environment, linear_expert(*FORWARD), experts=BY_CLIP[:1])

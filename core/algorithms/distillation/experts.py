@@ -1,6 +1,6 @@
 """The experts of a run: which of them answers in a state, and the action that it would take there."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -19,7 +19,8 @@ from core.reasons import Reason
 
 
 class Seen(NamedTuple):
-    """What a state shows: the environment's observation, and the number of the expert that answers, [N]."""
+    """What experts need of states: the environment's observation, and the number of the expert that answers
+    in each, [N]."""
 
     observation: Any
     expert: jax.Array
@@ -27,27 +28,38 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True)
 class Experts:
-    """policies: deterministic ones. of_row: the number of the expert of each row of the reference's frames;
-    None: the first answers everywhere."""
+    """The policies that a distillation learns from, and which of them answers where.
+
+    answers: (parameters, observations [N, ...], key) -> actions [N, action_size], of each expert. parameters:
+    the first argument of each: arguments of a program, which other experts of the same sizes do not change.
+    of_row: the number of the expert that answers in each row of the reference's frames; None: without clips
+    there is one expert, which answers everywhere.
+    """
 
     experts: Sequence[Expert]
-    policies: Sequence[TrainedPolicy]
+    answers: Sequence[Callable[[Any, Any, jax.Array], jax.Array]]
+    parameters: tuple[Any, ...]
     of_row: np.ndarray | None
 
     @classmethod
     def of(
         cls, environment: Environment, settings: DistillationSpec, policies: Sequence[TrainedPolicy]
     ) -> "Experts":
-        """Raises Rejected where the clips have not one expert each, JobFailed where a policy does not fit."""
+        """policies: of the experts in their order, deterministic.
+
+        Raises Rejected where a clip does not have exactly one expert, JobFailed where a policy does not fit.
+        """
         if len(policies) != len(settings.experts):
             raise _misfit(f"The policies of {len(settings.experts)} experts are needed, not {len(policies)}.")
         inner = innermost(environment)
         playback = inner.playback if isinstance(inner, TaskEnv) else None
         numbers = settings.num_of_expert(() if playback is None else playback.frames.names)
         of_row = None if playback is None else np.repeat(np.array(numbers, np.int32), playback.frames.lengths)
-        experts = cls(settings.experts, policies, of_row)
-        for number, (expert, policy) in enumerate(zip(settings.experts, policies, strict=True)):
-            network = network_in(policy.parameters)
+        answers = [_answer(expert, policy) for expert, policy in zip(settings.experts, policies, strict=True)]
+        parameters = tuple(replace(policy.parameters, value={}) for policy in policies)
+        experts = cls(settings.experts, answers, parameters, of_row)
+        for number, (expert, params) in enumerate(zip(settings.experts, parameters, strict=True)):
+            network = network_in(params)
             sees = experts._part(number, jax.tree.map(np.zeros, environment.observation_size))
             has = (network.observation_size, network.action_size, network.action_repeat)
             if has != (len(sees), environment.action_size, 1):
@@ -58,29 +70,26 @@ class Experts:
                 )
         return experts
 
-    @property
-    def parameters(self) -> tuple[Any, ...]:
-        """Those of `actions`: arguments of a program, which other experts of the same sizes do not change."""
-        return tuple(replace(policy.parameters, value={}) for policy in self.policies)
-
     def seen(self, state: State) -> Seen:
-        """What states [N, ...] show."""
+        """What `actions` needs of states [N, ...]."""
         if self.of_row is None:
             return Seen(state.obs, jnp.zeros(state.done.shape, jnp.int32))
         return Seen(state.obs, jnp.asarray(self.of_row)[state.info[FRAME]])
 
     def actions(self, parameters: Sequence[Any], seen: Seen) -> jax.Array:
-        """The modes of the experts' distributions, [N, action_size]. All experts are asked everywhere."""
-        unused = jax.random.key(0)
-        answers = [
-            policy.answer(params, self._given(number, params, seen.observation), unused)
-            for number, (policy, params) in enumerate(zip(self.policies, parameters, strict=True))
-            if policy.answer is not None
+        """What the expert of each state does there, [N, action_size]: the mode of its distribution.
+
+        parameters: those of the experts. Every expert answers in every state; `seen.expert` chooses.
+        """
+        unused = jax.random.key(0)  # A deterministic policy draws nothing.
+        actions = [
+            answer(params, self._given(number, params, seen.observation), unused)
+            for number, (answer, params) in enumerate(zip(self.answers, parameters, strict=True))
         ]
-        return jnp.take_along_axis(jnp.stack(answers), seen.expert[None, :, None], axis=0)[0]
+        return jnp.take_along_axis(jnp.stack(actions), seen.expert[None, :, None], axis=0)[0]
 
     def _given(self, number: int, params: Any, observation: Any) -> Any:
-        """What an expert is given of observations: by name, if it was trained with several."""
+        """An expert's own observation: under its name, if the expert was trained with several."""
         part = self._part(number, observation)
         return {params.config.policy_obs_key: part} if isinstance(params.normalizer.mean, Mapping) else part
 
@@ -91,6 +100,12 @@ class Experts:
         if expert.places is None:
             return values
         return values[..., np.concatenate([start + np.arange(size) for start, size in expert.places])]
+
+
+def _answer(expert: Expert, policy: TrainedPolicy) -> Callable[[Any, Any, jax.Array], jax.Array]:
+    if policy.answer is None:
+        raise _misfit(f"The policy of job {expert.job} needs more than an observation: it can be no expert.")
+    return policy.answer
 
 
 def _misfit(detail: str) -> JobFailed:
