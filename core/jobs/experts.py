@@ -1,6 +1,7 @@
 """The policies of other jobs from which a distillation learns: whether each fits, what it sees, its clips.
 
-What a submission finds is stored in the experts, so that a worker needs their policies alone.
+A submission stores what it finds in the specification's experts, so that a worker reads their policies and
+not their jobs.
 """
 
 from collections.abc import Collection, Sequence
@@ -26,9 +27,9 @@ from core.patterns import matching
 from core.uploads import library
 
 _FILLED_IN = ("clip_names", "sees", "places")
-# Of a reference, what the observation of it means.
+# The fields of a reference that change what the numbers of an observation of it mean.
 _SHOWN_OF_A_REFERENCE = ("ahead", "bodies", "anchor", "end_effectors")
-# A critic sees terms without these.
+# The fields of a term that a critic's observation ignores: it sees exact values.
 _NOISE = {"noise", "bias", "delay"}
 
 
@@ -38,11 +39,11 @@ def expert_file(expert: Expert, source: Job) -> Artifact | None:
 
 
 def with_experts(spec: JobSpec, store: JobStore, readable: Collection[str] | None = None) -> JobSpec:
-    """The specification, whose experts say what they see, and for which clips they answer.
+    """The specification with what its experts see and the clips for which they answer.
 
-    readable: the projects whose jobs it may use; None: all. Raises Rejected where a job does not exist, has
-    no policy to learn from, or is of another body, where the task lacks what it sees, and where a clip has no
-    expert or several.
+    readable: the projects whose jobs it may use; None: all. Raises Rejected where an expert's job does not
+    exist, has no policy to learn from, or trained another body, where the task lacks what the expert sees,
+    and where a clip has no expert or several.
     """
     if not isinstance(spec, TrainSpec) or not isinstance(spec.algorithm, DistillationSpec):
         return spec
@@ -73,7 +74,8 @@ def check_readable_experts(spec: JobSpec, readable: Collection[str] | None, stor
 def _filled_in(
     expert: Expert, spec: TrainSpec, info: EnvironmentInfo, options: Strict, store: JobStore
 ) -> Expert:
-    """Raises Rejected, with a field of the expert or with the observation as the place."""
+    """The expert with all its fields. Raises Rejected, whose pointer ends in a field of the expert, or in
+    `observation`."""
     source = _source(expert.job, store)
     if expert_file(expert, source) is None:
         raise _refusal(f"Job {source.id} has no policy of this kind.", "which")
@@ -120,19 +122,22 @@ def _source(job_id: str, store: JobStore) -> Job:
 
 
 def _seen_by(source: Job) -> str:
-    """The name of the observation that the job's policy sees. Raises Rejected where it holds its actions."""
+    """The name of the observation that the job's policy sees.
+
+    Raises Rejected where the policy holds an action for several steps.
+    """
     used = [a.details["hyperparameters"] for a in source.attempts if "hyperparameters" in a.details]
     settings: Any = getattr(source.spec, "algorithm", None)
     if used:
         settings = reported({"kind": settings.algorithm(), **used[-1]})
     if (held := getattr(settings, "action_repeat", 1)) != 1:
-        detail = f"Job {source.id} holds an action for {held} steps; an expert says one in each."
+        detail = f"Job {source.id} holds an action for {held} steps; an expert acts in each."
         raise _refusal(detail, "job")
     return getattr(settings, "policy_obs_key", POLICY_GROUP)
 
 
 def _check_shown_alike(options: Strict, job_id: str, had: Strict) -> None:
-    """Refuse another meaning of what is seen of a reference."""
+    """Refuse a reference that the observation shows in another way than the one of the expert's job."""
     here, there = (getattr(one, "reference", None) for one in (options, had))
     if here is None or there is None:
         return
@@ -145,7 +150,10 @@ def _check_shown_alike(options: Strict, job_id: str, had: Strict) -> None:
 def _places(
     job_id: str, terms: Sequence[ObservationTerm], had: TaskOptions, options: TaskOptions, model: Inventory
 ) -> tuple[str, list[list[int]]]:
-    """The observation of this task that has all of an expert's terms, and where each is in it."""
+    """The observation of this task that has all of an expert's terms, and [start, size] of each in it.
+
+    terms: the expert's. had: the task of the expert's job; options: this task. Raises Rejected.
+    """
     there, here = parts_of(had, model), parts_of(options, model)
     missing: list[ObservationTerm] = []
     for group, has, ignored in (

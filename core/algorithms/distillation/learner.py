@@ -1,10 +1,11 @@
 """Distillation by DAgger: the state of a run, one update of it, and its `Algorithm`.
 
-The student acts, in a share of the steps the expert in its place (`beta`), and in all states that they come
-to the expert says what it would do. The loss is the mean square between the modes of student and expert, of
-actions as the body gets them: before tanh, an expert that pushes with all its force would count most, though
-the body does not feel how far beyond its limit. The student's deviation is not learnt: it acts by its mode.
-Only the newest states are learnt from, where Ross et al. keep all.
+The student acts; in a share of the steps, `beta`, the expert acts in its place. In every state that either
+comes to, the expert says what it would do there. The loss is the mean squared difference between the modes of
+student and expert, after tanh, as the body gets the actions: before tanh, an expert that pushes with all its
+force would count most, though the body cannot push beyond its limit. The student's deviation is not learnt,
+because it acts by its mode. An update learns from the states that it has just collected; Ross et al. keep
+all.
 
 Source: Ross et al., A Reduction of Imitation Learning and Structured Prediction to No-Regret Online Learning
 (2011), algorithm 3.1; an intention network's terms of the loss are those of `core.algorithms.ppo.intention`.
@@ -99,13 +100,13 @@ class Hyperparameters:
         )
 
     def beta_after(self, steps: jax.Array) -> jax.Array:
-        """The share of the actions that are the expert's, after so many environment steps."""
+        """The share [] of the actions that are the expert's. steps: [], environment steps taken before."""
         left = jnp.clip(1.0 - steps / jnp.maximum(self.beta_steps, 1.0), 0.0, 1.0)
         return jnp.where(self.beta_steps > 0, self.beta * left, 0.0)
 
 
 class Distillation:
-    """See `core.algorithms.algorithm.Algorithm`. The policy is a file as PPO's, without a value function.
+    """See `core.algorithms.algorithm.Algorithm`. Its policy is a file like PPO's, without a value function.
 
     experts: the policies of `settings.experts`, deterministic. Raises Rejected, and JobFailed where one does
     not fit the environment.
@@ -223,8 +224,8 @@ class Distillation:
     def _student(
         self, normalizer: Any, params: Any, observation: Any, key: jax.Array
     ) -> tuple[jax.Array, Any]:
-        """The modes of the student's actions for observations [..., n], [..., action_size]; and where it has
-        an encoder, whose intentions are then drawn, their distribution."""
+        """The modes of the student's actions [..., action_size] for observations [..., n], and the
+        distribution of its intentions, which it draws with the key; None for a network without an encoder."""
         network, latent = self._networks.policy_network, None
         if isinstance(network, IntentionPolicy):
             latent = network.encode(normalizer, params, observation)
@@ -237,7 +238,7 @@ class Distillation:
     def _loss(
         self, params: Any, normalizer: Any, minibatch: Any, costs: Hyperparameters, key: jax.Array
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """minibatch: [T, B, ...]. The loss [] and its parts."""
+        """The loss [] and its metrics. minibatch: [T, B, ...], as `update` makes a batch."""
         action, latent = self._student(normalizer, params["policy"], minibatch["observation"], key)
         error = jnp.mean(jnp.square(action - minibatch["wanted"]))
         metrics = {"total_loss": error, "action_error": error}
@@ -295,7 +296,7 @@ class Distillation:
         return state, evaluation_metrics(totals)
 
     def policy(self, state: TrainingState) -> bytes:
-        """A file as PPO's, with nothing in place of the value function."""
+        """A file like PPO's, with nothing in place of the value function."""
         config = PolicyConfig.of(
             self.settings.model_dump() | {"encoder_places": self.settings.encoder_places}
         )

@@ -45,7 +45,7 @@ class Expert(Strict):
     )
 
     def answers_for(self, clips: Sequence[str]) -> set[str]:
-        """Those of the clips of this job for which it answers."""
+        """The clips of this job for which it answers. clips: all of them, by name."""
         return set(self.clip_names or ()) if self.clips is None else set(matching(self.clips, clips))
 
 
@@ -184,10 +184,10 @@ class DistillationSpec(BaseSpec):
         return self.num_timesteps
 
     def num_of_expert(self, clips: Sequence[str]) -> list[int]:
-        """The number of the expert of each clip, by the clips' names.
+        """The number of the expert of each clip; [] for a task without clips, which has one expert.
 
-        Raises Rejected where a clip has none or several, and where an expert has no clip. Without clips there
-        is one expert alone.
+        clips: the names of all clips of the job. Raises Rejected where a clip has no expert or several, where
+        an expert has no clip, and where there are several experts and no clips.
         """
         if not clips:
             if len(self.experts) == 1:
@@ -238,7 +238,7 @@ def refusal(settings: DistillationSpec, environment: EnvironmentInfo, device: De
 
 
 def least_memory(settings: DistillationSpec, environment: EnvironmentInfo, num_devices: int) -> MemoryNeed:
-    """As PPO's, without the experts, whose sizes only their files tell."""
+    """As PPO's. Left out: the experts, whose sizes only their files tell."""
     parts = ppo.least_memory(settings.as_ppo, environment, num_devices).parts
     ours = DistillationSpec.model_fields.keys() - {"num_minibatches"}  # It only divides.
     return MemoryNeed([replace(part, lower=tuple(n for n in part.lower if n in ours)) for part in parts])
