@@ -15,14 +15,15 @@ _MOST_POINTS = 2000
 
 
 def principal_components(values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rows [T, n] along their two directions of most variance [T, 2], and each one's share of it all [2].
+    """Rows [T, n] along their two directions of most variance, [T, 2]; and each direction's share of all
+    variance, [2].
 
-    The greatest number of a direction is positive, so that the same values give the same picture.
+    The greatest component of a direction is positive, so that the same values give the same picture.
     """
-    values = np.column_stack([values, np.zeros(len(values))])  # One number alone has no second direction.
+    values = np.column_stack([values, np.zeros(len(values))])  # A row of one number needs a second.
     centred = values - values.mean(axis=0)
     _, deviations, directions = np.linalg.svd(centred, full_matrices=False)
-    directions = np.pad(directions[:2], ((0, max(0, 2 - len(directions))), (0, 0)))  # Of a single step.
+    directions = np.pad(directions[:2], ((0, max(0, 2 - len(directions))), (0, 0)))  # Of one row.
     greatest = np.take_along_axis(directions, abs(directions).argmax(axis=1, keepdims=True), axis=1)
     shares = deviations**2 / max(np.sum(deviations**2), 1e-12)
     return centred @ (directions * np.where(greatest < 0, -1, 1)).T, np.append(shares, 0.0)[:2]
@@ -37,9 +38,9 @@ def plotted_layer(chosen: Sequence[str], layers: Sequence[str]) -> str | None:
 
 @dataclass
 class LatentPoints:
-    """Gathers a layer's values at steps that are equally far apart, few enough to be drawn.
+    """Gathers a layer's values at every n-th step, so that there are few enough points to draw.
 
-    num_steps: of all episodes together, at most. clips: that the body follows.
+    num_steps: the most steps that all episodes have together. clips: those that the body follows.
     """
 
     layer: str
@@ -60,8 +61,12 @@ class LatentPoints:
         self._where.append(np.stack([number, episode.time[:-1], clip, share], 1, dtype=float)[chosen])
 
     def document(self) -> dict[str, Any] | None:
-        """What is drawn: of each point its place along both components, its episode, its time in s and, of a
-        body that follows clips, its clip and the share of that clip that is over. None without a point."""
+        """What the picture is drawn from; None: there are no points.
+
+        `x`, `y`, `episode`, `time_s` have an entry for each point: its places along the two components, its
+        episode and its time; for a body that follows clips also `clip`, its clip's number in `clips`, and
+        `share`, how much of that clip is over. `variance`: each component's share of all variance.
+        """
         if not self._where:
             return None
         points, variance = principal_components(np.concatenate(self._values))

@@ -1,6 +1,7 @@
-"""Clips from the places of markers or key points: the poses that put a body's points nearest to them.
+"""Clips from the places of markers or key points: the poses in which a body's points are nearest to them.
 
-Least squares by MuJoCo's own `mujoco.minimize`, within the joints' limits, frame after frame.
+Each frame is a least-squares problem within the joints' limits, which MuJoCo's own `mujoco.minimize` solves
+from the pose of the frame before.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,16 +18,23 @@ from core.clips.quaternions import Array
 from core.clips.skeleton import Skeleton, listed, skeleton_of
 from core.errors import BadClips
 
-# Of the body's size: how much farther off a point may be for each rad by which a joint stays nearer to its
-# last pose. It says what joints do that no point shows, and keeps noise of the points from shaking them.
+# A joint that turns by 1 rad from one frame to the next costs as much as a point that is this share of the
+# body's size off its target. So joints that no point shows stay where they are, and noise shakes none.
 _STIFFNESS = 0.02
-# A step that changes the pose by less than this share is the last: MuJoCo's 1e-8 takes ten times as long.
+# The solver stops at a step that changes the pose by less than this share: MuJoCo's own 1e-8 takes ten times
+# as long.
 _TOLERANCE = 1e-3
+# The most iterations of the solver, where it begins far from the solution, and where it begins at the pose of
+# the frame before.
 _FIRST_ITERATIONS, _ITERATIONS = 300, 50
-_FAR = 1e3
+# The bound, in m or rad, of a step that has none.
+_NO_BOUND = 1e3
+# Key points that a frame shows; fewer do not say how the body is turned.
 _FEWEST_POINTS = 3
-# Frames from which offsets are fitted; stac-mjx takes as many. What the given offset weighs beside them.
-_FITTED_FRAMES, _GIVEN_WEIGHT = 100, 0.1
+# How many frames offsets are fitted to, as in stac-mjx.
+_FITTED_FRAMES = 100
+# The weight of the given offset in the fitted one, beside a weight of 1 for all these frames together.
+_GIVEN_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -39,10 +47,9 @@ class BodyPoint:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """distances: m between each key point and the body's, [T, K]; NaN where the key point was not seen.
-
-    offsets: m in the body's frame, of the key points that the mapping names, as they were fitted. spread: how
-    far the body's points are apart, as a share of how far the key points are.
+    """distances: between each key point and the body's point, [T, K] m; NaN where the key point was not seen
+    or is not used. offsets: of each key point that is used, as fitted, [3] m in the body's frame. spread: how
+    far apart the body's points are, divided by how far apart the key points are.
     """
 
     clip: Clip
@@ -64,8 +71,9 @@ def solve(  # noqa: PLR0913 # All but the recording and the body are named.
     """The clip whose poses follow the key points, without velocities.
 
     key_points: [T, K, 3] m in the world; NaN where one was not seen. names: of the K. mapping: which point of
-    which body each is; those that it does not name are not used. rounds: how often poses and the points'
-    offsets are fitted in turn before (STAC: Wu et al., 2013). Raises BadClips.
+    which body each key point is; a key point that it does not name is not used. rate: frames per second.
+    rounds: how often poses are solved and the points' offsets fitted to them, before the clip itself is
+    solved (STAC: Wu et al., 2013). Raises BadClips.
     """
     skeleton = skeleton_of(model)
     used = _used(key_points, names, mapping)
@@ -90,14 +98,18 @@ def solve(  # noqa: PLR0913 # All but the recording and the body are named.
 def spreads(
     key_points: Array, names: Sequence[str], mapping: Mapping[str, BodyPoint], model: mujoco.MjModel
 ) -> tuple[float, float]:
-    """How far the key points are from their centre, and how far the body's are at rest. As for `solve`."""
+    """How far apart the key points are, and how far apart the body's points are in its initial pose, as
+    `_spread` has it. Arguments as for `solve`. Raises BadClips."""
     used = _used(key_points, names, mapping)
     fit = _Fit(skeleton_of(model), [mapping[names[place]] for place in used])
     return _spread(key_points[:, used]), _spread(fit.points(np.asarray(model.qpos0))[None])
 
 
 def _spread(points: Array) -> float:
-    """The root mean square distance from the centre, the median of the frames. points: [T, K, 3], or NaN."""
+    """The median over the frames of the points' root mean square distance from their centre, in m.
+
+    points: [T, K, 3] m; NaN where one was not seen.
+    """
     apart = points - np.nanmean(points, axis=1, keepdims=True)
     return float(np.median(np.sqrt(np.nanmean((apart**2).sum(axis=-1), axis=1))))
 
@@ -131,7 +143,7 @@ def _clip(rows: Array, skeleton: Skeleton, rate: float, name: str) -> Clip:
 
 
 class _Fit:
-    """Poses of one body beside key points. It has MuJoCo's data, which each call overwrites."""
+    """Fits the poses of one body to key points. Each call overwrites its MuJoCo data."""
 
     def __init__(self, skeleton: Skeleton, points: Sequence[BodyPoint]) -> None:
         """Raises BadClips for a body that the model lacks."""
@@ -159,7 +171,8 @@ class _Fit:
         return self._data.xpos[self._bodies] + np.einsum("kij,kj->ki", turns, self.offsets)
 
     def with_root(self, row: Array, targets: Array) -> Array:
-        """The pose with its root where the points as they are lie nearest to the targets (Kabsch, 1976)."""
+        """The pose with its root moved and turned so that the body's points, with the joints as they are, are
+        nearest to the targets (Kabsch, 1976). row: [nq]. targets: [K, 3] m."""
         seen = np.isfinite(targets).all(axis=-1)
         ours, theirs = self.points(row)[seen], targets[seen]
         centre, aim = ours.mean(axis=0), theirs.mean(axis=0)
@@ -173,10 +186,10 @@ class _Fit:
         return moved
 
     def fit_offsets(self, row: Array, seen: Array) -> None:
-        """Moves each point to the mean of its key point's places in the body's frame, in some frames' poses.
+        """Move each point to the mean, over some frames, of its key point's place in the body's frame.
 
-        row: where the first pose is looked for. seen: [T, K, 3]. The mean is drawn to the offset that was
-        given, without which the body could lie anywhere under its points.
+        row: [nq], where the search for the first pose begins. seen: [T, K, 3] m. The given offset has a
+        weight in the mean: without it the body could lie anywhere under its points.
         """
         places: list[Array] = []
         for frame in np.unique(np.linspace(0, len(seen) - 1, _FITTED_FRAMES).astype(int)):
@@ -190,7 +203,10 @@ class _Fit:
         self.offsets = (np.nansum(found, axis=0) + weight * self._given) / (number + weight)
 
     def nearest(self, row: Array, targets: Array, iterations: int) -> Array:
-        """The pose, from this one on, whose points are nearest to the targets that were seen."""
+        """The pose [nq] whose points are nearest to the targets.
+
+        row: [nq], where the search begins. targets: [K, 3] m; NaN where one was not seen.
+        """
         seen = np.flatnonzero(np.isfinite(targets).all(axis=-1))
 
         def residual(steps: Array) -> Array:
@@ -216,7 +232,7 @@ class _Fit:
         return self._stepped(row, np.asarray(step).ravel())
 
     def _jacobian(self, row: Array, step: Array, seen: NDArray[np.int_]) -> Array:
-        """Of the residual by the step, [3 * seen + joints, dofs]."""
+        """The derivative of the residual by the step, [3 * seen + joints, dofs]."""
         places = self.points(self._stepped(row, step))
         mujoco.mj_comPos(self._model, self._data)
         found = np.zeros((len(seen), 3, self._model.nv))
@@ -236,15 +252,15 @@ class _Fit:
         return moved
 
     def _bounds(self, row: Array) -> list[Any]:
-        """Of a step: the joints' limits; the root has none that matter."""
+        """The lowest and the highest step: those to the joints' limits; the root has no limits."""
         model, ids = self._model, self._skeleton.joint_ids
         limited: NDArray[np.bool_] = np.asarray(model.jnt_limited, bool)[ids]
         low, high = np.asarray(model.jnt_range)[ids].T
         here = row[self._skeleton.joint_addresses]
-        free = np.full(len(self._dofs) - self._num_joints, _FAR)
+        free = np.full(len(self._dofs) - self._num_joints, _NO_BOUND)
         return [
-            np.concatenate([-free, np.where(limited, low - here, -_FAR)]),
-            np.concatenate([free, np.where(limited, high - here, _FAR)]),
+            np.concatenate([-free, np.where(limited, low - here, -_NO_BOUND)]),
+            np.concatenate([free, np.where(limited, high - here, _NO_BOUND)]),
         ]
 
 

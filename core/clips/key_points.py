@@ -1,4 +1,5 @@
-"""A clip from a recording of key points: which points of the body they are, their unit, and how they fit."""
+"""A clip from a recording of key points: which points of the body they are, their unit, and how well the
+clip follows them."""
 
 import json
 import zipfile
@@ -24,27 +25,35 @@ from core.clips.skeleton import listed, skeleton_of
 from core.documents import Strict
 from core.errors import BadClips
 
-# Beside the recording in a ZIP.
+# The file beside the recording in a ZIP.
 OPTIONS = "points.json"
-# Frames times key points: 14 minutes of 23 at 50 frames a second.
+# Frames times key points of one recording: 14 minutes of 23 key points at 50 frames a second.
 MOST_POINTS = 1_000_000
-# Of processor time for each point, of which it takes about a fifth on a slow core.
+# The processor time that solving may take for each point; on a slow core it takes a fifth of that.
 _SECONDS_A_POINT = 5e-4
+# Bytes in a ZIP, unpacked.
 _LARGEST_OPTIONS, _LARGEST_RECORDING = 2**20, 8 * MOST_NUMBERS
-# How many times as far apart as the body's the points may be; the units in which a file may be, in metres.
-_APART, _UNITS = 3.0, {"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0}
-# Of the body's size, from where a point is told as far; by how much the spread may differ; of the frames.
-_FAR, _OTHER_SIZE, _SELDOM = 0.05, 0.05, 0.5
+# The units that a file may have, each in metres.
+_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0}
+# In the right unit, the key points are less than three times as far apart as the body's points, and more than
+# a third.
+_MOST_APART = 3.0
+# Warn of key points that are on average farther from the body than this share of the body's size,
+_FAR = 0.05
+# of a body whose points are farther apart, or nearer together, than the key points by this share,
+_OTHER_SIZE = 0.05
+# and of key points that are seen in less than this share of the frames.
+_SELDOM = 0.5
 _READY = TypeAdapter(dict[str, BodyPoint])
 
 
 class KeyPointOptions(Strict):
     """What `points.json` says of a recording.
 
-    points: which point of which body each key point is; None: those of stac-mjx's rat, if they are these.
-    names: of the key points; None: the file's, or those of `points` in their order for a file without. scale:
-    m of one of the file's units; None: found out. lift: m, by which the recording is raised. fit_offsets: how
-    often offsets are fitted.
+    points: which point of which body each key point is; None: those of stac-mjx's rat, if the file has its
+    key points. names: of the key points, in the file's order; None: the file's own, or for a file without
+    names those of `points` in their order. scale: metres of one of the file's units; None: guessed from the
+    body's size. lift: how far the recording is raised, in m. fit_offsets: `rounds` of `solve`.
     """
 
     points: dict[str, BodyPoint] | None = Field(None, max_length=1000)
@@ -56,7 +65,7 @@ class KeyPointOptions(Strict):
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """The clip, without velocities; how far each used key point is from the body; what may be wrong."""
+    """clip: without velocities. key_points: those that are used. warnings: sentences on what may be wrong."""
 
     clip: Clip
     key_points: Sequence[KeyPointFacts]
@@ -72,7 +81,7 @@ def unpacked(path: Path) -> tuple[Path, KeyPointOptions | None]:
         return path, None
     try:
         with zipfile.ZipFile(path) as packed:
-            # A Mac adds files of its own.
+            # A ZIP made on a Mac has files of the Mac's own in this folder.
             members = [
                 one for one in packed.infolist() if not one.is_dir() and "__MACOSX/" not in one.filename
             ]
@@ -95,7 +104,7 @@ def unpacked(path: Path) -> tuple[Path, KeyPointOptions | None]:
 
 
 def options_of(content: bytes) -> KeyPointOptions:
-    """Raises BadClips with the field."""
+    """The options in a `points.json`. Raises BadClips, which names the field."""
     try:
         json.loads(content, object_pairs_hook=_unique)
         return KeyPointOptions.model_validate_json(content)
@@ -121,7 +130,7 @@ def seconds_for(found: KeyPoints) -> int:
 def solved(
     found: KeyPoints, options: KeyPointOptions, model: mujoco.MjModel, *, rate: float, name: str
 ) -> Solved:
-    """The clip that follows the recording. rate: frames per second. Raises BadClips."""
+    """The clip that follows the recording. rate: frames per second. name: the clip's. Raises BadClips."""
     said = options.names or found.names
     mapping = options.points or _ready(said, found.points.shape[1], model)
     names = _names(said or tuple(mapping), found)
@@ -140,6 +149,7 @@ def solved(
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object's members. Raises ValueError where two have the same name: the parser keeps the last."""
     found = dict(pairs)
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
@@ -149,13 +159,19 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 @cache
 def _rodent() -> Mapping[str, BodyPoint]:
-    """The key points of DANNCE's rat on dm_control's. The bodies are those of stac-mjx's `rodent.yaml`; the
-    offsets of joints are read off the model, those of the head and the spine estimated."""
+    """The key points of DANNCE's rat as points of dm_control's rat.
+
+    Their bodies are those of stac-mjx's `rodent.yaml`. The offsets of joints are read off the model; those of
+    the head and the spine are estimates.
+    """
     return _READY.validate_json(Path(__file__).with_name("rodent_points.json").read_bytes())
 
 
 def _ready(names: Sequence[str] | None, number: int, model: mujoco.MjModel) -> Mapping[str, BodyPoint]:
-    """The rat's points, where this is its body and these its key points. Raises BadClips elsewhere."""
+    """The rat's points. Raises BadClips where the model is not the rat's, or the key points are not.
+
+    names: of the key points; None: the file has none, and their number decides.
+    """
     ready = _rodent()
     bodies = {str(model.body(body).name) for body in range(model.nbody)}
     fits = len(ready) == number if names is None else ready.keys() <= set(names)
@@ -169,7 +185,7 @@ def _ready(names: Sequence[str] | None, number: int, model: mujoco.MjModel) -> M
 
 
 def _names(names: Sequence[str], found: KeyPoints) -> Sequence[str]:
-    """Raises BadClips if they are not those of the file."""
+    """The names. Raises BadClips where there are not as many as key points, or two are the same."""
     if len(names) != found.points.shape[1]:
         raise BadClips(
             f"The file has {found.points.shape[1]} key points and {len(names)} names: give `names` in "
@@ -188,13 +204,16 @@ def _scale(
     model: mujoco.MjModel,
     options: KeyPointOptions,
 ) -> tuple[float, list[str]]:
-    """Metres of one of the file's units, with a sentence where these are not metres and nobody said so."""
+    """Metres of one of the file's units, and a warning where the unit was guessed and is not the metre.
+
+    Raises BadClips where no unit makes the key points about as large as the body.
+    """
     theirs, ours = spreads(points, names, mapping, model)
     if not ours:
         raise BadClips("The points of the body are all in one place.")
     units = _UNITS if options.scale is None else {"given": options.scale}
     for unit, scale in units.items():
-        if 1 / _APART < theirs * scale / ours < _APART:
+        if 1 / _MOST_APART < theirs * scale / ours < _MOST_APART:
             told = (
                 f"The key points are read as {unit}: in metres they are {theirs / ours:,.0f} times the body."
             )
@@ -206,7 +225,7 @@ def _scale(
 
 
 def _facts(name: str, point: BodyPoint, solution: Solution, distances: Array) -> KeyPointFacts:
-    """distances: [T] m, NaN where it was not seen."""
+    """What is reported of a key point. distances: [T] m, NaN in frames where it was not seen."""
     seen = distances[np.isfinite(distances)]
     x, y, z = solution.offsets[name].round(6).tolist()
     return KeyPointFacts(
@@ -222,6 +241,7 @@ def _facts(name: str, point: BodyPoint, solution: Solution, distances: Array) ->
 def _misfits(
     facts: Sequence[KeyPointFacts], solution: Solution, scale: float, model: mujoco.MjModel
 ) -> Iterator[str]:
+    """Warnings of a poor fit. scale: metres of one of the file's units."""
     size, num_frames = skeleton_of(model).size, solution.clip.num_frames
     if far := [one.name for one in facts if (one.mean_distance or 0) > _FAR * size]:
         worst = max(one.mean_distance or 0 for one in facts)

@@ -1,5 +1,5 @@
-"""Files of key points in space: HDF5 of SLEAP and stac-mjx, NWB, MATLAB of DANNCE, NPZ, CSV of Anipose and
-DeepLabCut."""
+"""Files of key points in three dimensions: HDF5 of SLEAP and stac-mjx, NWB, MATLAB of DANNCE, NPZ, and CSV of
+Anipose and DeepLabCut."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,18 +15,20 @@ from core.clips.quaternions import Array
 from core.errors import BadClips
 
 NAME = "key points"
+# How files of MATLAB begin: up to version 7, and from 7.3 on, which are HDF5.
 MATLAB, MATLAB_HDF5 = b"MATLAB 5", b"MATLAB 7.3"
+# What the arrays are called, in the order in which they are looked for.
 _POINTS = ("key_points", "keypoints", "tracks", "pred", "points3d")
 _NAMES = ("names", "kp_names", "node_names", "keypoint_names")
 _RATES = ("rate", "fps")
-# Columns by threes in a line of text that are no chance.
+# Fewer triples of columns `NAME_x`, `NAME_y`, `NAME_z` may be there by chance: the CSV is of another kind.
 _FEWEST_NAMED = 3
 
 
 @dataclass(frozen=True, eq=False)
 class KeyPoints:
-    """points: [T, K, 3] in the file's unit of length; NaN where one was not seen. names: of the K; None where
-    the file has none. rate: frames per second, if the file says."""
+    """points: [T, K, 3] in the file's unit of length, NaN where a key point was not seen. names: of the K key
+    points; None: the file has none. rate: frames per second; None: the file does not say."""
 
     points: Array
     names: tuple[str, ...] | None = None
@@ -34,10 +36,10 @@ class KeyPoints:
 
 
 def of_arrays(file: Mapping[str, Any], *, is_matlabs: bool = False) -> KeyPoints | None:
-    """Of arrays by their names; None where none is called as key points are. Raises BadClips.
+    """The key points among a file's arrays, by their names; None: no array has such a name. Raises BadClips.
 
-    The points are [T, K, 3] or [T, 3, K], or [T, 1, …] of one animal. is_matlabs: HDF5 by MATLAB has the axes
-    the other way round.
+    The array is [T, K, 3] or [T, 3, K], or with an axis for the one animal [T, 1, K, 3] or [T, 1, 3, K].
+    is_matlabs: the file is MATLAB's HDF5, which has the axes in the opposite order.
     """
     found = next((name for name in _POINTS if name in file), None)
     if found is None:
@@ -58,7 +60,7 @@ def of_arrays(file: Mapping[str, Any], *, is_matlabs: bool = False) -> KeyPoints
 
 
 def of_matlab(path: Path) -> KeyPoints | None:
-    """Of a MATLAB file up to version 7. Raises BadClips."""
+    """The key points of a MATLAB file up to version 7; None: it has none. Raises BadClips."""
     try:
         return of_arrays(scipy.io.loadmat(path, variable_names=(*_POINTS, *_RATES)))
     except BadClips:
@@ -68,9 +70,10 @@ def of_matlab(path: Path) -> KeyPoints | None:
 
 
 def of_nwb(file: Mapping[str, Any]) -> KeyPoints | None:
-    """Of the one `PoseEstimation` (ndx-pose) in a module of processing. Raises BadClips.
+    """The key points of an NWB file: those of its `PoseEstimation` (ndx-pose), in a module of `processing`.
 
-    Each of its series is a key point: `data` [T, 3] times its `conversion`.
+    Each series of it is a key point, with the places [T, 3] `data` times `conversion`. None: the file has no
+    `PoseEstimation`. Raises BadClips, also where it has several.
     """
     modules = hdf5.members(file["processing"]).values() if "processing" in file else ()
     groups = [
@@ -93,9 +96,10 @@ def of_nwb(file: Mapping[str, Any]) -> KeyPoints | None:
 
 
 def of_text(path: Path) -> KeyPoints | None:
-    """Of CSV whose header has `NAME_x`, `NAME_y`, `NAME_z`, or DeepLabCut's lines `bodyparts` and `coords`.
+    """The key points of a CSV file: its header has `NAME_x`, `NAME_y`, `NAME_z`, or DeepLabCut's lines
+    `bodyparts` and `coords`.
 
-    Other columns are not read. None for another file. Raises BadClips with the line.
+    Other columns are not read. None: the file is of another kind. Raises BadClips, which names the line.
     """
     try:
         text = path.read_text("utf-8-sig")
@@ -123,7 +127,7 @@ def of_text(path: Path) -> KeyPoints | None:
 
 
 def _header(rows: list[tuple[int, list[str]]]) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """The columns' names, and the lines behind them."""
+    """The columns' names, `NAME_x` and so on, and the lines after the header. rows: (line number, cells)."""
     first = {row[0]: [cell.strip().strip('"') for cell in row] for _, row in rows[:4]}
     if "bodyparts" in first and "coords" in first:
         ends = next(place for place, (_, row) in enumerate(rows) if row[0] == "coords")

@@ -62,7 +62,7 @@ def check_task(options: BaseModel, task: str, reference: Reference | None, *unre
 
 
 def ends(size: float = 1.0) -> FarFromReference:
-    """Where the reference is lost. size: of the body, beside a human."""
+    """When an episode has lost the reference. size: the body's, as a share of a human's."""
     return FarFromReference(
         root_position=0.5 * size, anchor_height=0.25 * size, end_effector_height=0.25 * size
     )
@@ -71,8 +71,8 @@ def ends(size: float = 1.0) -> FarFromReference:
 def imitating_reward(
     size: float = 1.0, joints: Patterns | None = None, root: TrackRootPosition | None = None
 ) -> list[AnyReward]:
-    """The reward's terms. size: of the body, beside a human. joints: those that are compared; None: all.
-    root: in place of a term whose tolerance goes by the size."""
+    """The reward's terms. size: the body's, as a share of a human's. joints: those that are compared; None:
+    all. root: the term of the root's position; None: one whose tolerance is proportional to the size."""
     return [
         root or TrackRootPosition(weight=1.0, tolerance=0.3 * size),
         TrackRootOrientation(weight=0.5),

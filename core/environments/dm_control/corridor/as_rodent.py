@@ -1,6 +1,7 @@
-"""What a decoder of the `rodent` sees of a rat in a corridor.
+"""The observation of a rat in a corridor as the task `rodent` has it, for a decoder that was trained there.
 
-There the free joint moves a frame, and the torso stands beside it; the joints and their order are the same.
+In `rodent` the free joint moves the torso; in a corridor it moves a frame beside which the torso stands. The
+joints and their order are the same.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,15 +22,15 @@ from core.environments.terms.step import ModelIndex, Step
 from core.physics.engine import PhysicsState
 from core.physics.model import initial_qpos
 
-# The fields of the physics that have no row for each body.
+# Fields of the physics that are not arrays with a row for each body.
 _NOT_OF_BODIES = ("qfrc_actuator",)
 
 
 class AsRodent:
-    """The terms of a task of the `rodent`, in the units and the order that they have there.
+    """Measures terms of the task `rodent` on a rat in a corridor, in the units and the order of `rodent`.
 
-    model: the rat in its corridor. trunk: its torso. dt: s. size: how many numbers they are. derived: the
-    fields of the physics that they read.
+    model: the rat in its corridor. trunk: the number of its torso among the model's bodies. dt: of a control
+    step, in s. size: how many numbers the terms are. derived: the fields of the physics that they read.
     """
 
     def __init__(
@@ -47,13 +48,18 @@ class AsRodent:
     def __call__(
         self, before: PhysicsState, after: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
     ) -> tuple[jax.Array, Mapping[str, jax.Array]]:
-        """The numbers [size] after a step, and entries of `State.info` for the next one. action: [nu]."""
+        """The terms' numbers [size] after a step, and entries of `State.info` that the next step reads.
+
+        action: [nu].
+        """
         was, now = self._moved(before), self._moved(after)
         return self._group.seen(Step(was, now, action, action, self._dt, jnp), info, None)
 
     def _moved(self, physics: PhysicsState) -> PhysicsState:
-        """As if the free joint were the torso's: its linear velocity is along the world's axes, its angular
-        one about its own."""
+        """The physics as if the free joint moved the torso.
+
+        A free joint's linear velocity is along the world's axes, its angular velocity about the body's own.
+        """
         turn, linear, angular = physics.qpos[3:7], physics.qvel[:3], physics.qvel[3:6]
         place = physics.qpos[:3] + rotated(turn, self._beside, jnp)
         linear = linear + rotated(turn, jnp.cross(angular, self._beside), jnp)
