@@ -13,6 +13,7 @@ from sqlalchemy import text
 from core.accounts.store import Actor
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
+from core.adapters.postgres.turns import running_query
 from core.adapters.rq.queue import RQQueue
 from core.jobs.attempts import Claim, claim_turn, new_secret
 from core.jobs.job import Job
@@ -272,6 +273,25 @@ def test_a_job_that_is_cancelled_deleted_or_claimed_meanwhile_is_passed_over(
     assert claim is not None
     assert claim.job_id == last.id
     assert job_store.get(last.id).token == claim.token
+
+
+def test_running_jobs_are_found_by_an_index_among_many_others(
+    job_store: PostgresJobStore, database: Database
+) -> None:
+    add(job_store)
+    database.change(
+        """
+        INSERT INTO jobs (id, version, kind, environment, labels, spec, status, created_at)
+        SELECT id || n, version, kind, environment, labels, spec,
+            CASE mod(n, 2) WHEN 0 THEN 'queued' ELSE 'succeeded' END, created_at
+        FROM jobs, generate_series(10001, 20000) AS n
+        """
+    )
+    database.change("ANALYZE jobs")
+    database.change("SET enable_sort = off")
+    running = running_query("yields_to").replace(":held", "'{starting,running,cancelling}'")
+    plan = str(database.read(f"EXPLAIN {running}"))
+    assert "jobs_by_status" in plan, plan
 
 
 def test_a_claim_whose_answer_was_lost_is_the_same_again(job_store: PostgresJobStore) -> None:
