@@ -1,11 +1,11 @@
 """Claims among 10,000 waiting jobs of 50 users by 64 workers, on a PostgreSQL of its own with the embedded
 stack's settings, on this machine's disk, with fsync.
 
-The time of a claim is from asking until its worker knows which job it has: the choice, and its commit. The
-end of the job before is apart. Each worker is a process that is connected, and claims at random times: as if
-jobs took a minute on average, which makes one claim a second, and as if they took 2 s, thirty a second. So
-many processes share this machine's cores with PostgreSQL; a worker alone says what a claim costs: its time,
-and the processor's time in the worker and in its server process.
+The time of a claim is from asking until its worker knows which job it has: the choice, and its commit, which
+does not wait for the disk. The end of the job before is apart. Each worker is a process that is connected,
+and claims at random times: as if jobs took a minute on average, which makes one claim a second, and as if
+they took 2 s, thirty a second. So many processes share this machine's cores with PostgreSQL; a worker alone
+says what a claim costs: its time, and the processor's time in the worker and in its server process.
 """
 
 import argparse

@@ -157,7 +157,6 @@ def claim_turn(  # noqa: PLR0913 # Who, what, and where it is written.
     job = store.take_turn(
         queues,
         worker,
-        now=store.now(),
         lease=lease,
         secret=secret,
         details=details,

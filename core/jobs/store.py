@@ -360,7 +360,6 @@ class JobStore(NewsStore, QuotaStore, RetentionStore, Uploads, UsageStore, Worke
         queues: Sequence[str],
         worker: str,
         *,
-        now: datetime,
         lease: timedelta,
         secret: str,
         details: Mapping[str, Any] | None = None,
@@ -369,7 +368,7 @@ class JobStore(NewsStore, QuotaStore, RetentionStore, Uploads, UsageStore, Worke
         offer: Offer | None = None,
     ) -> Job | None:
         """Claim the job whose turn it is, by `core.jobs.turns`, among the queued ones of these queues; None
-        if none may start now. The choice and the claim are one transaction, and claims come one by one.
+        if none may start now. Two claims never get the same one.
 
         secret: of the claim's token; a call that is repeated with the same one returns the job claimed then.
         fits: whether this worker can run the job; it has to be quick. told: the job of RQ's message, which

@@ -101,7 +101,7 @@ def test_turns_are_those_known_before_while_they_are_looked_up_or_the_record_is_
 def test_a_job_says_which_one_makes_room_for_it_and_that_one_for_whom_it_was(stack: Stack) -> None:
     announce(stack, "cpu")
     low = stack.http.post("/jobs", json={**_ANT, "priority": "low"}).json()["id"]
-    job = stack.store.take_turn(queue_names("cpu"), "cpu", now=NOON, lease=timedelta(seconds=30), secret="s")
+    job = stack.store.take_turn(queue_names("cpu"), "cpu", lease=timedelta(seconds=30), secret="s")
     assert job is not None
     high = stack.http.post("/jobs", json={**_ANT, "priority": "high"}).json()["id"]
     assert stack.store.make_room() == {high: [low]}

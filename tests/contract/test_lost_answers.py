@@ -9,14 +9,17 @@ from typing import Any
 import psycopg
 import pytest
 
+from core.accounts.store import Actor
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.errors import JobExists, JobNotFound, LeaseLost, RecordsUnavailable, StaleJob
 from core.jobs.attempts import Claim, claim_attempt
 from core.jobs.job import Job, Progress
 from core.jobs.patch import JobPatch
+from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, Idempotency, JobQuery
+from core.jobs.turns import Quota
 from core.reasons import Reason
 from tests.contract.recording import (
     LEASE,
@@ -294,6 +297,36 @@ class TestAttempts:
             take(secret="mine")
         assert jobs.get(job.id) == job
         assert take(secret="another's") is not None
+        assert take(secret="mine") is None
+
+    def test_a_turn_whose_answer_was_lost_is_the_same_again(
+        self, unsure: Unsure, jobs: PostgresJobStore
+    ) -> None:
+        first, second = jobs.add(queued_job()), jobs.add(queued_job(1))
+        take = partial(jobs.take_turn, queue_names("cpu"), "w", lease=LEASE)
+        with unsure.losing_answer():
+            take(secret="mine")
+        claimed = jobs.get(first.id)
+        assert claimed.status == JobStatus.STARTING
+        assert take(secret="mine") == claimed
+        others = take(secret="another's")
+        assert others is not None
+        assert others.id == second.id
+        assert len(statuses(jobs, first)) == 1
+
+    @pytest.mark.parametrize("quota", [Quota(), Quota(running=1)])
+    def test_a_turn_that_broke_off_is_open_to_all(
+        self, unsure: Unsure, jobs: PostgresJobStore, quota: Quota
+    ) -> None:
+        jobs.set_quota("project", "default", quota, Actor())
+        job = jobs.add(queued_job())
+        take = partial(jobs.take_turn, queue_names("cpu"), "w", lease=LEASE)
+        with unsure.losing_request():
+            take(secret="mine")
+        assert jobs.get(job.id) == job
+        others = take(secret="another's")
+        assert others is not None
+        assert others.id == job.id
         assert take(secret="mine") is None
 
     def test_a_start_sent_again_leaves_the_job_running(

@@ -72,7 +72,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "beat": lambda jobs: jobs.beat(LEASE),
         "models.rename": lambda jobs: jobs.models.rename(MODEL, "a dog"),
         "waiting": lambda jobs: jobs.waiting(),
-        "take_turn": lambda jobs: jobs.take_turn(["q"], "w", now=NOW, lease=LEASE, secret="s"),
+        "take_turn": lambda jobs: jobs.take_turn(["q"], "w", lease=LEASE, secret="s"),
         "make_room": lambda jobs: jobs.make_room(),
         "rooms": lambda jobs: jobs.rooms(),
         "turn_facts": lambda jobs: jobs.turn_facts(),

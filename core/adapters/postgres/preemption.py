@@ -94,7 +94,7 @@ class PreemptionQueries(Session):
             served = {queue for worker in present for queue in worker.queues}
             queues = [queue for queue in served if rank_of_queue(queue) in ranks]
             asked = {"queues": queues, "but_not": list[str]()}
-            facts = facts_of(connection.execute(_FACTS, asked).one(), started)
+            facts = facts_of(columns(connection.execute(_FACTS, asked).one()), started)
             if not facts.waiting:
                 return {}
             drains = {row.id: row.yields_to for row in running if row.yields_to is not None}

@@ -28,6 +28,7 @@ from sqlalchemy import (
 from sqlalchemy import cast as cast_to
 from sqlalchemy.dialects.postgresql import aggregate_order_by
 
+from core.adapters.postgres.engine import DriverStatement
 from core.adapters.postgres.tables import NOW, UNFINISHED, artifacts, attempts, clip_files, jobs
 from core.bounds import LONGEST_MESSAGE
 from core.documents import read_leniently
@@ -48,18 +49,20 @@ IDS = bindparam("ids", type_=ARRAY(Text))
 _ATTEMPTS_OF = select(attempts).where(attempts.c.job_id == any_(IDS)).order_by(attempts.c.number)
 _ARTIFACTS_OF = select(artifacts).where(artifacts.c.job_id == any_(IDS)).order_by(artifacts.c.position)
 # A job with all of its attempts and files: each further statement would be a round trip.
-_FIND = select(
-    jobs,
-    *(
-        select(func.json_agg(aggregate_order_by(literal_column(table.name, JSON), order)))
-        .select_from(table)
-        .where(table.c.job_id == jobs.c.id)
-        .correlate(jobs)
-        .scalar_subquery()
-        .label(table.name)
-        for table, order in ((attempts, attempts.c.number), (artifacts, artifacts.c.position))
-    ),
-).where(jobs.c.id == bindparam("id", type_=Text))
+_FIND = DriverStatement(
+    select(
+        jobs,
+        *(
+            select(func.json_agg(aggregate_order_by(literal_column(table.name, JSON), order)))
+            .select_from(table)
+            .where(table.c.job_id == jobs.c.id)
+            .correlate(jobs)
+            .scalar_subquery()
+            .label(table.name)
+            for table, order in ((attempts, attempts.c.number), (artifacts, artifacts.c.position))
+        ),
+    ).where(jobs.c.id == bindparam("id", type_=Text))
+)
 # In listings, whose readers look at the newest; a job itself has them all.
 _MOST_LISTED = 10
 _LONGEST_LISTED = 1000
@@ -213,10 +216,10 @@ def columns(row: Row[Any]) -> Values:
 
 def find_job(connection: Connection, job_id: str) -> Job | UnreadableJob:
     """Raises JobNotFound."""
-    row = connection.execute(_FIND, {"id": job_id}).first()
-    if row is None:
+    found = _FIND.rows(connection, {"id": job_id})
+    if not found:
         raise JobNotFound(job_id[:64])
-    return _job(row, row.attempts or (), row.artifacts or ())
+    return _job(found[0], found[0]["attempts"] or (), found[0]["artifacts"] or ())
 
 
 def jobs_of_rows(
@@ -236,7 +239,7 @@ def jobs_of_rows(
             tries[row.job_id].append(columns(row))
     for row in connection.execute(_BRIEF_ARTIFACTS_OF if brief else _ARTIFACTS_OF, ids):
         files[row.job_id].append(columns(row))
-    return [_job(row, tries[row.id], files[row.id]) for row in found]
+    return [_job(columns(row), tries[row.id], files[row.id]) for row in found]
 
 
 def hold_job(connection: Connection, job_id: str) -> bool:
@@ -288,21 +291,20 @@ def readable(job: Job | UnreadableJob) -> Job:
     return job
 
 
-def _job(row: Row[Any], tries: Sequence[Values], files: Sequence[Values]) -> Job | UnreadableJob:
-    """The job; an UnreadableJob if its row is damaged or another version wrote it."""
-    own = columns(row)
+def _job(own: Values, tries: Sequence[Values], files: Sequence[Values]) -> Job | UnreadableJob:
+    """The job; an UnreadableJob if its row is damaged or another version wrote it. own: its row."""
     try:
         found = {
-            "spec": read_leniently(row.spec, JOB_SPEC),
+            "spec": read_leniently(own["spec"], JOB_SPEC),
             "attempts": [_attempt_of(attempt) for attempt in tries],
             "artifacts": [_artifact_of(artifact) for artifact in files],
-            "progress": _progress(row.progress),
-            "imported_from": None if row.imported_from is None else from_json(row.imported_from),
-            "removed": () if row.removed is None else from_json(row.removed),
+            "progress": _progress(own["progress"]),
+            "imported_from": None if own["imported_from"] is None else from_json(own["imported_from"]),
+            "removed": () if own["removed"] is None else from_json(own["removed"]),
         }
         return Job.model_validate({**own, **found})
     except ValueError as error:  # JSON's and pydantic's errors are of this kind.
-        found = {"status": status(row.status), "spec": document(row.spec), "problem": _problem(error)}
+        found = {"status": status(own["status"]), "spec": document(own["spec"]), "problem": _problem(error)}
         return UnreadableJob.model_validate({**own, **found})
 
 

@@ -32,6 +32,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import INTERVAL, insert
 
 from core.adapters.postgres import leases, news, rows, usage
+from core.adapters.postgres.engine import DriverStatement
 from core.adapters.postgres.tables import NOW, artifacts, attempts, dispatches, entries, jobs, shares
 from core.adapters.postgres.tables import news as messages
 from core.adapters.postgres.tables import usage as ledger
@@ -50,8 +51,12 @@ _ID = bindparam("saved", type_=Text)
 # ---- The statement. ---------------------------------------------------------------------------------------
 
 
-def _save(*conditions: ColumnElement[bool]) -> Any:
-    """A lease and a drain belong to the present attempt; a change of hands ends those of the one before."""
+def _save(*conditions: ColumnElement[bool], is_claim: bool = False) -> Any:
+    """A lease and a drain belong to the present attempt; a change of hands ends those of the one before.
+
+    is_claim: it ends no attempt, and lets no job wait. Nor does it wait for the disk: if PostgreSQL is
+    killed before the next write, it is as if nobody had claimed the job, and the lease that it gave is lost.
+    """
     changed = {name: bindparam(f"new_{name}", type_=jobs.c[name].type) for name in rows.CHANGING}
     lease, num_told = bindparam("lease", type_=INTERVAL), bindparam("num_told", type_=Integer)
     kept = case(
@@ -77,16 +82,22 @@ def _save(*conditions: ColumnElement[bool]) -> Any:
     )
     tried = _insertion(attempts, saved)
     again = {one.name: tried.excluded[one.name] for one in attempts.c if not one.primary_key}
-    parts = (
+    parts = [
         tried.on_conflict_do_update(index_elements=["job_id", "number"], set_=again),
         _insertion(entries, saved, number=number, stored_at=NOW),
         taken,
-        _insertion(dispatches, saved, created_at=NOW).on_conflict_do_nothing(),
-        usage.added_to_ledger(_insertion(ledger, saved)),
-        usage.added_to_shares(_insertion(shares, saved, at=NOW)),
         _insertion(messages, saved, created_at=NOW),
-    )
-    return select(saved.c.id).add_cte(*(part.cte(f"part_{place}") for place, part in enumerate(parts)))
+    ]
+    answer = select(saved.c.id)
+    if is_claim:
+        answer = select(saved.c.id, func.set_config("synchronous_commit", "off", True))
+    else:
+        parts += [
+            _insertion(dispatches, saved, created_at=NOW).on_conflict_do_nothing(),
+            usage.added_to_ledger(_insertion(ledger, saved)),
+            usage.added_to_shares(_insertion(shares, saved, at=NOW)),
+        ]
+    return answer.add_cte(*(part.cte(f"part_{place}") for place, part in enumerate(parts)))
 
 
 def _insertion(table: Table, saved: Any, **computed: Any) -> Any:
@@ -109,12 +120,15 @@ def _given(table: Table) -> Any:
 # Built once, as they are parts of each claim and each end.
 SAVE = _save()
 # As if it were stale where somebody is about to change it; not where somebody refers to it, as by a new file.
-SAVE_AT_ONCE = _save(
-    jobs.c.id
-    == select(jobs.c.id)
-    .where(jobs.c.id == _ID)
-    .with_for_update(skip_locked=True, key_share=True)
-    .scalar_subquery()
+_CLAIM = DriverStatement(
+    _save(
+        jobs.c.id
+        == select(jobs.c.id)
+        .where(jobs.c.id == _ID)
+        .with_for_update(skip_locked=True, key_share=True)
+        .scalar_subquery(),
+        is_claim=True,
+    )
 )
 TAKE_BACK = _save(leases.is_over())
 _BEFORE = select(
@@ -142,25 +156,25 @@ def save_job(
         raise JobNotFound(job.id[:64])
     if before.version != job.version - 1:
         raise StaleJob(job.id)
-    save_change(connection, job, rows.status(before.status), statement, lease=lease, note=note)
+    values = _values(job, rows.status(before.status), lease, note)
+    if connection.execute(statement, values).first() is None:
+        refuse(connection, job.id)
     if job.artifacts or before.has_artifacts:
         write_artifacts(connection, job)
 
 
-def save_change(  # What is written, and how.
-    connection: Connection,
-    job: Job,
-    before: JobStatus,
-    statement: Any = SAVE,
-    *,
-    lease: timedelta | None = None,
-    note: str | None = None,
-) -> None:
-    """As `save_job`, for a job whose artifacts stay. before: the status of the version before this one."""
+def claim_job(connection: Connection, claimed: Job, lease: timedelta) -> None:
+    """Write the first version of a new attempt, in one statement. Raises StaleJob, JobNotFound."""
+    if not _CLAIM.rows(connection, _values(claimed, JobStatus.QUEUED, lease)):
+        refuse(connection, claimed.id)
+
+
+def _values(job: Job, before: JobStatus, lease: timedelta | None, note: str | None = None) -> rows.Values:
+    """The parameters of a statement. before: the status of the version before this one."""
     told = [] if before == job.status else [status_entry(job)]
     told += [] if note is None else [note_entry(note)]
     used, charged = usage.of_change(job, before)
-    values = {
+    return {
         **{f"new_{name}": value for name, value in rows.job_values(job).items()},
         "saved": job.id,
         "version_before": job.version - 1,
@@ -175,8 +189,6 @@ def save_change(  # What is written, and how.
         **_json(shares, charged),
         **_json(messages, news.values_of(news_of(job, before))),
     }
-    if connection.execute(statement, values).first() is None:
-        refuse(connection, job.id)
 
 
 def _json(table: Table, values: Sequence[rows.Values]) -> rows.Values:

@@ -1,7 +1,8 @@
-"""Whose turn it is, decided where a job is claimed, in one transaction.
+"""Whose turn it is, decided where a job is claimed.
 
 A claim passes a job by that another one is about to take, and counts it as started: claims do not wait for
-each other. Where somebody has a quota of running jobs they do, so that it is exact.
+each other, and need no transaction beyond the statement that writes one. Where somebody has a quota of
+running jobs they wait, each for the whole of the one before, so that it is exact.
 `core.jobs.turns` decides. It is told of the oldest waiting job of each queue and user, which an index has, so
 that a claim takes as long among ten thousand jobs as among ten.
 """
@@ -9,15 +10,15 @@ that a claim takes as long among ten thousand jobs as among ten.
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timedelta
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
-from sqlalchemy import Connection, Row, TextClause, text
+from sqlalchemy import Connection, TextClause, text
 
-from core.adapters.postgres.engine import Session
+from core.adapters.postgres.engine import DriverStatement, Session
 from core.adapters.postgres.quotas import quotas_of
-from core.adapters.postgres.rows import HELD, columns, find_job, readable
-from core.adapters.postgres.saving import SAVE_AT_ONCE, save_change
+from core.adapters.postgres.rows import HELD, Values, columns, find_job, readable
+from core.adapters.postgres.saving import claim_job
 from core.adapters.postgres.usage import SHARES
 from core.errors import IllegalTransition, JobNotFound, StaleJob
 from core.jobs.job import Job
@@ -30,9 +31,9 @@ from core.jobs.turns import Request, Share, Standings, Started, TurnFacts, Who, 
 
 # Without sorting, PostgreSQL walks the index `jobs_turns` also where it has no statistics yet. Planning anew
 # for each claim would take half of its time.
-_PLAN = text("""
-    SELECT set_config('enable_sort', 'off', true), set_config('plan_cache_mode', 'force_generic_plan', true)
-""")
+_PLAN = (
+    "SELECT set_config('enable_sort', 'off', true), set_config('plan_cache_mode', 'force_generic_plan', true)"
+)
 # An arbitrary number of ours: who comes second waits until the first one's transaction has ended.
 _ALONE = text("SELECT pg_advisory_xact_lock(7310582061)")
 # As `leases._is_due`: a pause that is longer than any was set before the clock was.
@@ -111,17 +112,18 @@ _WAITING = f"{HEAD} WHERE status = 'queued' ORDER BY id LIMIT 20000"
 def facts_query(**parts: str) -> TextClause:
     """All that a choice needs by one statement: a round trip for each part would take most of its time.
 
-    parts: `waiting`, and perhaps `started`, as `facts_of` reads them.
+    parts: `waiting`, and perhaps `started`, as `facts_of` reads them. `moment` is the database's time.
     """
     parts = {**parts, "shares": SHARES, "quotas": "SELECT * FROM quotas"}
     columns = (
         f"(SELECT coalesce(json_agg(part), '[]') FROM ({query}) AS part) AS {name}"  # noqa: S608 # Constants.
         for name, query in parts.items()
     )
-    return text(f"SELECT {', '.join(columns)}")
+    return text(f"SELECT clock_timestamp() AS moment, {', '.join(columns)}")
 
 
-_FACTS_OF_CLAIM, _NEXT_HEADS = facts_query(waiting=_NEXT, started=_RUNNING), text(_NEXT)
+_FACTS_OF_CLAIM = DriverStatement(facts_query(waiting=_NEXT, started=_RUNNING), _PLAN)
+_NEXT_HEADS = DriverStatement(text(_NEXT), _PLAN)
 _FACTS_OF_ALL = facts_query(waiting=_WAITING, started=_RUNNING)
 # After so many jobs of one queue and user that it cannot run, a worker looks at those of others.
 _MOST_UNFIT_OF_ONE = 10
@@ -139,7 +141,6 @@ class TurnQueries(Session):
         queues: Sequence[str],
         worker: str,
         *,
-        now: datetime,
         lease: timedelta,
         secret: str,
         details: Mapping[str, Any] | None = None,
@@ -147,32 +148,37 @@ class TurnQueries(Session):
         told: str = "",
         offer: Offer | None = None,
     ) -> Job | None:
+        asked = {"queues": list(queues), "but_not": [], "told": told, "held": list(HELD)}
+
+        def take(connection: Connection, found: Values) -> Job | None:
+            if mine := [row["id"] for row in found["started"] if row["token"].endswith(f"-{secret}")]:
+                return readable(find_job(connection, mine[0]))  # The answer to an earlier call was lost.
+            claim_now = partial(claim, now=found["moment"])
+            return _take(connection, asked, facts_of(found), find, claim_now, offer)
+
         def find(connection: Connection, job_id: str) -> Job | None:
             job = find_job(connection, job_id)
             return job if isinstance(job, Job) and fits(job) else None
 
-        def claim(connection: Connection, job: Job, request: Request) -> Job:
+        def claim(connection: Connection, job: Job, request: Request, now: datetime) -> Job:
             gpus, part = ("", None) if offer is None else offer.given_to(request)
             given = {GIVEN: gpus} if gpus else {}
             claimed = job.claimed(worker, now, secret, {**(details or {}), **given}, part)
-            save_change(connection, claimed, job.status, SAVE_AT_ONCE, lease=lease)
+            claim_job(connection, claimed, lease)
             return claimed
 
-        asked = {"queues": list(queues), "but_not": [], "told": told, "held": list(HELD)}
+        with self._statements() as connection:
+            (found,) = _FACTS_OF_CLAIM.rows(connection, asked)
+            if all(quota["running"] is None for quota in found["quotas"]):
+                return take(connection, found)
         with self._transaction() as connection:
-            connection.execute(_PLAN)
-            found = connection.execute(_FACTS_OF_CLAIM, asked).one()
-            if mine := [row["id"] for row in found.started if row["token"].endswith(f"-{secret}")]:
-                return readable(find_job(connection, mine[0]))  # The answer to an earlier call was lost.
-            facts = facts_of(found)
-            if any(quota.running is not None for quota in facts.quotas.by_party.values()):
-                connection.execute(_ALONE)
-                facts = facts_of(connection.execute(_FACTS_OF_CLAIM, asked).one())
-            return _take(connection, asked, facts, find, claim, offer)
+            connection.execute(_ALONE)
+            (found,) = _FACTS_OF_CLAIM.rows(connection, asked)
+            return take(connection, found)
 
     def turn_facts(self) -> TurnFacts:
         with self._statements() as connection:
-            return facts_of(connection.execute(_FACTS_OF_ALL, {"held": list(HELD)}).one())
+            return facts_of(columns(connection.execute(_FACTS_OF_ALL, {"held": list(HELD)}).one()))
 
 
 def _take(  # What is known, and how a job is reached.
@@ -196,7 +202,7 @@ def _take(  # What is known, and how a job is reached.
         first, kept = _first(heads, facts, standings, offer)
         if first is None:
             return None
-        # These errors are ours: no statement has failed, and the transaction goes on.
+        # These errors are ours: no statement has failed, and a transaction would go on.
         try:
             if (job := find(connection, first.id)) is not None:
                 if kept is not None:
@@ -227,23 +233,23 @@ def _first(
 
 
 def _heads(connection: Connection, asked: Mapping[str, Any]) -> Sequence[Request]:
-    return [request(columns(row)) for row in connection.execute(_NEXT_HEADS, asked)]
+    return [request(row) for row in _NEXT_HEADS.rows(connection, asked)]
 
 
 def _group(waiting: Request) -> _Group:
     return waiting.kind, waiting.rank, waiting.who
 
 
-def facts_of(found: Row[Any], started: Sequence[Started] | None = None) -> TurnFacts:
+def facts_of(found: Mapping[str, Any], started: Sequence[Started] | None = None) -> TurnFacts:
     """started: those that were read before; otherwise they are among what was found."""
     return TurnFacts(
-        waiting=[request(row) for row in found.waiting],
-        started=[started_of(row) for row in found.started] if started is None else started,
+        waiting=[request(row) for row in found["waiting"]],
+        started=[started_of(row) for row in found["started"]] if started is None else started,
         shares=[
             Share(row["device"], (row["project"], row["owner"]), row["amount"], row["usual_s"])
-            for row in found.shares
+            for row in found["shares"]
         ],
-        quotas=quotas_of(found.quotas),
+        quotas=quotas_of(found["quotas"]),
     )
 
 
