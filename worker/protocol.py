@@ -168,7 +168,8 @@ class Task(Stored):
     engines_that_cannot: engines that cannot run it, with
     the reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint,
     which `auto` then takes again. source_engine: the engine that moved the environments in another job's
-    checkpoint, which `auto` takes if no other can. made_with: the versions of packages
+    checkpoint, which `auto` takes if no other can. new_clips: whether the checkpoint is of
+    a job with other clips. made_with: the versions of packages
     that made the checkpoint, where they are known. commit: of the code that runs. gang: None where one host
     has the job.
     """
@@ -192,6 +193,7 @@ class Task(Stored):
     body: BodySize | None = None
     begun_on: EngineName | None = None
     source_engine: EngineName | None = None
+    new_clips: bool = False
     made_with: dict[str, str] = {}
     commit: str | None = None
     gang: GangPart | None = None

@@ -52,6 +52,9 @@ class RunSettings(Protocol):
 
 
 S = TypeVar("S", bound=TrainingState)
+# Fields of a training state that are about the clips of its environments: where these are, what is kept of
+# what they did, one step after the other, and where they failed.
+OF_CLIPS = ("episodes", "replay", "record")
 
 
 class Algorithm(Protocol[S]):

@@ -6,7 +6,7 @@ MessagePack of {"header", "sha256", "state"}; equal states give equal bytes. The
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,13 +61,19 @@ class Format:
         return header, _decode(body)
 
     def unpack(
-        self, content: bytes, description: Mapping[str, Any], template: Any
+        self,
+        content: bytes,
+        description: Mapping[str, Any],
+        template: Any,
+        unread: Collection[str] = (),
     ) -> tuple[dict[str, int], Any]:
         """The counters and the state, in the shape of `template`, a tree of arrays or of their shapes.
 
+        unread: fields of the state that are left out; the template has None there.
         Raises JobFailed("bad_checkpoint"), which names the differences.
         """
         header, saved = self.read(content)
+        saved = _without(saved, unread)
         differences = [
             f"{name} is {header.get(name)} in the checkpoint and {wanted} in this job"
             for name, wanted in description.items()
@@ -125,6 +131,12 @@ def _differences(saved: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[st
         for name in sorted(have.keys() | need.keys())
         if have.get(name) != need.get(name)
     ]
+
+
+def _without(state: Mapping[str, Any], fields: Collection[str]) -> dict[str, Any]:
+    """A state, or those of several seeds, without these fields."""
+    kept = {name: value for name, value in state.items() if name not in fields}
+    return {**kept, "runs": _without(kept["runs"], fields)} if "runs" in kept else kept
 
 
 def _completed(saved: Mapping[str, Any], wanted: Mapping[str, Any]) -> dict[str, Any]:

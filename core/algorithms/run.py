@@ -7,15 +7,15 @@ more), or ask for a checkpoint of the current state.
 import math
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Any, Generic
+from typing import Any, Generic, cast
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from core.algorithms.algorithm import Algorithm, Failure, RunSettings, S
+from core.algorithms.algorithm import OF_CLIPS, Algorithm, Failure, RunSettings, S
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.compiled_functions import CompiledFunctions, in_phases, place, trace
 from core.algorithms.events import (
@@ -48,6 +48,7 @@ def make_run(  # noqa: PLR0913 - all of them are named
     devices: int = 1,
     epoch_s: float = 1.0,
     experts: Sequence[Any] = (),
+    new_clips: bool = False,
 ) -> "Run[Any]":
     """A run of the algorithm that the settings belong to.
 
@@ -62,7 +63,18 @@ def make_run(  # noqa: PLR0913 - all of them are named
     algorithm = loaded(ALGORITHMS[settings.algorithm()].algorithm)(
         environment, settings, seed=seed, devices=devices, **({"experts": experts} if experts else {})
     )
-    return Run(algorithm, checkpoint_every_steps=checkpoint_every_steps, resume=resume, epoch_s=epoch_s)
+    return Run(
+        algorithm,
+        checkpoint_every_steps=checkpoint_every_steps,
+        resume=resume,
+        epoch_s=epoch_s,
+        new_clips=new_clips,
+    )
+
+
+def about_clips(state: Any) -> dict[str, Any]:
+    """The fields of a state that begin again where a run resumes with other clips."""
+    return {field.name: getattr(state, field.name) for field in fields(state) if field.name in OF_CLIPS}
 
 
 class Run(Generic[S]):
@@ -70,7 +82,8 @@ class Run(Generic[S]):
 
     checkpoint_every_steps: environment steps, over all environments, between CheckpointReady events; the last
     is always at the end. resume: a checkpoint; the run resumes from it, with its random keys. epoch_s: an
-    epoch's target duration in seconds; it only changes how often Progress comes.
+    epoch's target duration in seconds; it only changes how often Progress comes. new_clips: the checkpoint is
+    of a run with other clips: episodes begin again in these, and so does what is kept of them (`OF_CLIPS`).
 
     Raises JobFailed("bad_checkpoint") when `resume` is damaged or belongs to a run of another shape.
     """
@@ -82,6 +95,7 @@ class Run(Generic[S]):
         checkpoint_every_steps: int | None,
         resume: bytes | None = None,
         epoch_s: float = 1.0,
+        new_clips: bool = False,
     ) -> None:
         self._algorithm = algorithm
         self._hosts = Hosts()
@@ -90,12 +104,13 @@ class Run(Generic[S]):
         self._hyperparameters = algorithm.sharding.put(algorithm.hyperparameters, everywhere)
         self._loop = TrainingLoop.of(algorithm.settings, checkpoint_every_steps, epoch_s)
         self._state: S | None = None
+        self._learnt_before: S | None = None
         self._functions: CompiledFunctions[S] | None = None
         self._lost: BodyLost | None = None
         self._has_told_lost = False
-        self._resumed_from = resume if algorithm.sharding.has_other_hosts else None
+        self._resumed_from = resume if algorithm.sharding.has_other_hosts and not new_clips else None
         if resume is not None:
-            self._restore(resume)
+            self._restore(resume, new_clips=new_clips)
 
     @property
     def step(self) -> int:
@@ -165,7 +180,7 @@ class Run(Generic[S]):
     def checkpoint(self) -> bytes:
         """The whole state of the run: equal states give equal bytes.
 
-        Valid between two events; in a run that resumes, also before the first.
+        Valid between two events; in a run that resumes with the same clips, also before the first.
         """
         state = self._begun
         if self._algorithm.sharding.has_other_hosts:
@@ -189,12 +204,18 @@ class Run(Generic[S]):
             raise RuntimeError("The run has no state before its first event.")
         return self._state
 
-    def _restore(self, content: bytes) -> None:
+    def _restore(self, content: bytes, *, new_clips: bool) -> None:
         algorithm = self._algorithm
-        template = jax.eval_shape(algorithm.init, algorithm.seed)
+        template: Any = jax.eval_shape(algorithm.init, algorithm.seed)
+        unread = about_clips(template) if new_clips else {}
+        template = replace(template, **dict.fromkeys(unread))
         description = {**algorithm.description, "seeds": None}  # Those of a job of several seeds do not fit.
-        progress, state = algorithm.format.unpack(content, description, template)
-        self._state = place(algorithm, state)
+        progress, state = algorithm.format.unpack(content, description, template, tuple(unread))
+        state = place(algorithm, state)
+        if new_clips:
+            self._learnt_before = state
+        else:
+            self._state = state
         self._loop.resume(progress)
 
     def _prepare(self) -> tuple[CompiledFunctions[S], Sequence[Phase]]:
@@ -202,7 +223,9 @@ class Run(Generic[S]):
         self._functions, phases = in_phases(partial(trace, self._algorithm))
         self._hosts.meet("compiled")
         if self._state is None:
-            self._state = self._functions.init(self._seed)
+            begun = self._functions.init(self._seed)
+            before, self._learnt_before = cast("Any", self._learnt_before), None
+            self._state = begun if before is None else replace(before, **about_clips(begun))
         return self._functions, phases
 
     def _train(self, functions: CompiledFunctions[S], until: int) -> dict[str, float]:

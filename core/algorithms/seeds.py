@@ -5,6 +5,7 @@ The program is `jax.vmap` of one seed's program, as in PureJaxRL (Lu et al., Dis
 """
 
 from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from statistics import fmean
 from typing import Any, Generic, cast
@@ -18,14 +19,14 @@ from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.compiled_functions import CompiledFunctions, in_phases, trace_seeds
 from core.algorithms.events import BodyLost, Event, SeedDiverged, metric_of_seed
-from core.algorithms.run import TrainingLoop, check_finite, diverged
+from core.algorithms.run import TrainingLoop, about_clips, check_finite, diverged
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
 from core.errors import JobFailed
 from core.reasons import Reason
 
 
-def make_seeds_run(
+def make_seeds_run(  # noqa: PLR0913 - all of them are named
     environment: Environment,
     settings: BaseSpec,
     *,
@@ -33,6 +34,7 @@ def make_seeds_run(
     checkpoint_every_steps: int | None,
     resume: bytes | None = None,
     epoch_s: float = 1.0,
+    new_clips: bool = False,
 ) -> "SeedsRun[Any]":
     """Like `core.algorithms.run.make_run`, for several seeds on one device.
 
@@ -41,7 +43,13 @@ def make_seeds_run(
     settings.check_seeds()
     algorithm = loaded(ALGORITHMS[settings.algorithm()].algorithm)
     algorithms = {seed: algorithm(environment, settings, seed=seed, devices=1) for seed in seeds}
-    return SeedsRun(algorithms, checkpoint_every_steps=checkpoint_every_steps, resume=resume, epoch_s=epoch_s)
+    return SeedsRun(
+        algorithms,
+        checkpoint_every_steps=checkpoint_every_steps,
+        resume=resume,
+        epoch_s=epoch_s,
+        new_clips=new_clips,
+    )
 
 
 class SeedsRun(Generic[S]):
@@ -61,6 +69,7 @@ class SeedsRun(Generic[S]):
         checkpoint_every_steps: int | None,
         resume: bytes | None = None,
         epoch_s: float = 1.0,
+        new_clips: bool = False,
     ) -> None:
         self._seeds = list(algorithms)
         self._algorithm = algorithm = algorithms[self._seeds[0]]
@@ -68,12 +77,13 @@ class SeedsRun(Generic[S]):
         self._hyperparameters = jax.device_put(algorithm.hyperparameters)
         self._loop = TrainingLoop.of(algorithm.settings, checkpoint_every_steps, epoch_s)
         self._state: S | None = None
+        self._learnt_before: S | None = None
         self._updates = np.zeros(len(self._seeds), np.int32)
         self._is_live = np.ones(len(self._seeds), bool)
         self._to_tell: list[Event] = []
         self._has_lost = False
         if resume is not None:
-            self._restore(resume)
+            self._restore(resume, new_clips=new_clips)
 
     @property
     def step(self) -> int:
@@ -97,7 +107,9 @@ class SeedsRun(Generic[S]):
         """
         functions, phases = in_phases(partial(trace_seeds, self._algorithm, self._keys))
         if self._state is None:
-            self._state = functions.init(self._keys)
+            begun = functions.init(self._keys)
+            before, self._learnt_before = cast("Any", self._learnt_before), None
+            self._state = begun if before is None else replace(before, **about_clips(begun))
         yield from phases
         try:
             for event in self._loop.events(
@@ -128,12 +140,18 @@ class SeedsRun(Generic[S]):
             raise RuntimeError("The run has no state before its first event.")
         return self._state
 
-    def _restore(self, content: bytes) -> None:
+    def _restore(self, content: bytes, *, new_clips: bool) -> None:
         algorithm, is_live = self._algorithm, jax.ShapeDtypeStruct(self._is_live.shape, bool)
-        template = {"runs": jax.eval_shape(jax.vmap(algorithm.init), self._keys), "is_live": is_live}
+        runs: Any = jax.eval_shape(jax.vmap(algorithm.init), self._keys)
+        unread = about_clips(runs) if new_clips else {}
+        template = {"runs": replace(runs, **dict.fromkeys(unread)), "is_live": is_live}
         description = {**algorithm.description, "seeds": self._seeds}
-        progress, saved = algorithm.format.unpack(content, description, template)
-        self._state, self._is_live = jax.tree.map(jnp.asarray, saved["runs"]), np.array(saved["is_live"])
+        progress, saved = algorithm.format.unpack(content, description, template, tuple(unread))
+        state, self._is_live = jax.tree.map(jnp.asarray, saved["runs"]), np.array(saved["is_live"])
+        if new_clips:
+            self._learnt_before = state
+        else:
+            self._state = state
         self._updates = np.array(saved["runs"].num_updates)
         self._loop.resume(progress)
         if not self._is_live.any():

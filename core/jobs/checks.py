@@ -18,7 +18,7 @@ from core.errors import Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.recording import check_recording
 from core.jobs.resolved import ResolvedJob, resolve_job
-from core.jobs.source import source_artifact
+from core.jobs.source import has_other_clips, source_artifact
 from core.jobs.spec import (
     MOST_GPUS,
     CheckpointPolicy,
@@ -257,9 +257,11 @@ def _check_budget(by_device: Collection[BaseSpec], checkpoint: Artifact) -> None
 
 
 def _check_engine(spec: TrainSpec, source: Job) -> None:
-    """`auto` takes an engine that can go on from the checkpoint."""
+    """`auto` takes an engine that can go on from the checkpoint. With other clips any can: episodes begin."""
     had = source.engine
     if had is None or spec.physics == "auto" or not spec.algorithm.checkpoint_holds_envs:
+        return
+    if has_other_clips(source.spec.environment, spec.environment):
         return
     if not share_states(had, spec.physics):
         detail = (

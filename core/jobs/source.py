@@ -18,6 +18,9 @@ from core.jobs.store import JobStore
 # ends. A checkpoint's arrays have the same shapes under any of them.
 _PAYING = ("reward", "weight", "cost")
 _OF_EPISODES = ("reset", "termination")
+# Of a `reference`, what a training may have otherwise than the job from which it resumes: with other clips an
+# observation means the same.
+_OF_CLIPS = ("clips", "sampling", "random_phase")
 _MOST_SHOWN = 100
 
 _Place = tuple[str | int, ...]
@@ -69,7 +72,8 @@ def source_artifact(spec: JobSpec, wanted: Source, get: Callable[[str], Job]) ->
         excepted = f" except in {', '.join(free)}" if free else ""
         detail = (
             f"The environments of job {job_id} and of this one differ at {place}: {values}. They must be the "
-            f"same{excepted}. Numbers of the reward, the reset and the termination may differ."
+            f"same{excepted}. Numbers of the reward, the reset and the termination may differ, and so "
+            "may the clips of a reference."
         )
         if isinstance(spec, RolloutSpec):
             detail += " Leave `environment` out to take that of the job."
@@ -129,10 +133,21 @@ def difference(had: EnvironmentSpec, has: EnvironmentSpec, free: Sequence[str]) 
         {name: value for name, value in _options(one).items() if name not in free} for one in (had, has)
     )
     for place, one, other in _differing(there, here, ()):
+        if place[0] == "reference" and place[1:2] and place[1] in _OF_CLIPS:
+            continue
         if not (_is_number(one) and _is_number(other) and _is_harmless(place)):
             pointer = "".join(f"/{str(part)[:_MOST_SHOWN]}" for part in place)
             return f"/environment/options{pointer}", f"{_shown(one)} there and {_shown(other)} here"
     return None
+
+
+def has_other_clips(had: EnvironmentSpec, has: EnvironmentSpec) -> bool:
+    """Whether two environments without a `difference` follow other clips, or begin elsewhere in them.
+
+    had: of the checkpoint's job.
+    """
+    there, here = (cast("dict[str, Any]", _options(one).get("reference") or {}) for one in (had, has))
+    return any(there.get(name) != here.get(name) for name in _OF_CLIPS)
 
 
 def _options(environment: EnvironmentSpec) -> dict[str, Any]:

@@ -295,3 +295,37 @@ def test_the_training_process_gets_them_as_files_by_their_ids(
     stack.store.clips.delete(clips)
     with pytest.raises(JobFailed, match="were deleted before the job began"):
         write_task(stack.store.get(found), claim, "cpu", tmp_path)
+
+
+def test_a_training_resumes_with_other_clips_and_its_own_attempts_exactly(
+    stack: Stack, clips: str, tmp_path: Path
+) -> None:
+    first = stack.http.post("/jobs", json=job({"file": clips})).json()["id"]
+    with worker(stack, status="ready", description=DESCRIPTION):
+        other = send(stack.http, FILE + b"\n").json()["id"]
+    attempt = Attempt(stack, stack.store.get(first), is_new=False)
+    facts = {"role": "checkpoint", "media_type": "application/msgpack"}
+    attempt.keep("checkpoint-1.msgpack", step=1, **facts)
+    attempt.end()
+
+    def posted(**changes: Any) -> httpx.Response:
+        sent = {**job({"file": other}), "resume_from": {"job": first}}
+        sent["environment"]["options"]["reference"] |= changes
+        return stack.http.post("/jobs", json=sent)
+
+    document = problem(posted(ahead={"frames": 5}), 422, "invalid-request")
+    assert document["errors"][0]["pointer"] == "/environment/options/reference/ahead/frames"
+    assert "so may the clips of a reference" in document["detail"]
+    answer = posted(sampling={"kind": "uniform"})
+    assert answer.status_code == 202, answer.text
+    attempt = Attempt(stack, stack.store.get(answer.json()["id"]), is_new=False)
+
+    def has_new_clips() -> bool:
+        write_task(stack.store.get(attempt.id), attempt.claim, "cpu", tmp_path)
+        task = Task.model_validate_json((tmp_path / "task.json").read_text())
+        assert task.checkpoint is not None
+        return task.new_clips
+
+    assert has_new_clips()
+    attempt.keep("checkpoint-2.msgpack", step=2, **facts)
+    assert not has_new_clips()

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from core.adapters.postgres.store import PostgresJobStore
+from core.clips.record import ClipFacts, ClipsDescription
 from core.environments import catalog
 from core.errors import JobInUse, Rejected
 from core.jobs.attempts import Claim
@@ -121,6 +122,17 @@ def test_a_body_that_imitated_lends_its_decoder_to_its_other_tasks(
     # The G1's walk sees all of that anyway.
     more = (info.spaces.observation_size) - plain.spaces.observation_size
     assert (more > 0) == (environment != "g1")
+
+
+def test_one_that_learnt_about_a_clip_moves_a_task_with_a_reference(job_store: PostgresJobStore) -> None:
+    source = trained(job_store, environment={"id": "go1", "options": ABOUT_A_CLIP})
+    found = ClipsDescription(
+        format="csv", clips=[ClipFacts(name="walk", num_frames=2, rate=50, seconds=1)], joints=[]
+    )
+    job_store.clips.add(clip_file("sha256:" + "1" * 64, body="go1", description=found))
+    follows = {name: ABOUT_A_CLIP[name] for name in ("reference", "reward")}
+    action: Any = new_job(driven(source.id, **follows), job_store).spec.environment.options["action"]
+    assert action["moves"]["about"] == "reference"
 
 
 def test_a_training_whose_decoder_needs_clips_says_so_as_it_begins() -> None:

@@ -1,5 +1,6 @@
 """Where episodes begin in clips while PPO trains: before what fails, also in a run that is resumed."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +9,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.run import Run
+from core.algorithms.checkpoint import Format
+from core.algorithms.events import CheckpointReady
+from core.algorithms.ppo.learner import FORMAT as PPO
+from core.algorithms.run import Run, make_run
+from core.algorithms.sac.learner import FORMAT as SAC
+from core.algorithms.seeds import SeedsRun, make_seeds_run
+from core.clips.clip import Clip
 from core.environments.reference.frames import Frames
 from core.environments.reference.parts import Parts
 from core.environments.terms.reference import Adaptive, Frame, Uniform
-from tests.learning.runs import STEPS_PER_UPDATE, small_run
-from tests.learning.test_terrain_levels import followed
+from core.errors import JobFailed
+from tests.extra import extra
+from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_settings
+from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
+from tests.learning.sac_runs import sac_settings
 from tests.unit.environments.mjcf.test_imitation import flight, follower
 
 NUM_UPDATES = 6
@@ -70,31 +80,81 @@ def test_draws_are_rows_of_their_parts() -> None:
     assert np.mean(rows >= 31) == pytest.approx(0.85, abs=0.05)  # 0.8 + 0.2 / 4.
 
 
-def run(folder: Path, *, resume: bytes | None = None) -> Run[Any]:
+BOTH = [flight(), flight(-1.0, name="back")]
+RUN: dict[str, Any] = {"num_evals": 0, "reset_pool_size": 20}
+PPO_SETTINGS = small_settings(num_timesteps=NUM_UPDATES * STEPS_PER_UPDATE, **RUN)
+SAC_SETTINGS = sac_settings(
+    num_timesteps=NUM_UPDATES * SAC_STEPS_PER_UPDATE,
+    min_replay_size=128,
+    max_replay_size=512,
+    n_step=3,
+    **RUN,
+)
+
+
+def run(
+    folder: Path,
+    settings: Any = PPO_SETTINGS,
+    seeds: tuple[int, ...] = (),
+    clips: Sequence[Clip] = BOTH,
+    **resuming: Any,
+) -> Run[Any] | SeedsRun[Any]:
     # It begins where the clip is, and is pulled away from it, slowly: nothing holds the elbow.
     environment = follower(
         folder,
-        [flight(), flight(-1.0, name="back")],
+        clips,
         reference={"sampling": {"kind": "adaptive", "part_s": 0.1}},
         termination=[{"kind": "far_from_reference", "joint_position": 0.001}],
     )
-    return small_run(
-        environment,
-        num_timesteps=NUM_UPDATES * STEPS_PER_UPDATE,
-        reset_pool_size=20,
-        num_evals=0,
-        checkpoint_every_steps=STEPS_PER_UPDATE * NUM_UPDATES // 2,
-        epoch_s=0.0,
-        resume=resume,
-    )
+    every = settings.env_steps_per_update * NUM_UPDATES // 2
+    resuming |= {"checkpoint_every_steps": every, "epoch_s": 0.0}
+    if seeds:
+        return make_seeds_run(environment, settings, seeds=seeds, **resuming)
+    return make_run(environment, settings, seed=0, **resuming)
 
 
-def test_a_resumed_run_has_the_same_record(tmp_path: Path) -> None:
-    first = run(tmp_path)
-    _, kept = followed(first)
-    half, whole = sorted(kept)
-    record = np.asarray(first._state.record)
+@pytest.fixture(scope="module")
+def by_ppo(tmp_path_factory: pytest.TempPathFactory) -> dict[int, bytes]:
+    """The checkpoints of a run with two clips."""
+    return checkpoints(run(tmp_path_factory.mktemp("both")))
+
+
+def test_a_resumed_run_has_the_same_record(tmp_path: Path, by_ppo: dict[int, bytes]) -> None:
+    half, whole = sorted(by_ppo)
+    record = PPO.read(by_ppo[whole])[1]["record"]
     assert record.shape == (2, 2)
     assert (record > 0).all()
-    _, resumed = followed(run(tmp_path, resume=kept[half]))
-    assert resumed[whole] == kept[whole]
+    assert checkpoints(run(tmp_path, resume=by_ppo[half])) == {whole: by_ppo[whole]}
+
+
+@pytest.mark.parametrize(
+    ("form", "settings", "seeds"),
+    [
+        (PPO, PPO_SETTINGS, ()),
+        *extra((PPO, PPO_SETTINGS, (0, 3)), (SAC, SAC_SETTINGS, ())),
+    ],
+    ids=["ppo", "seeds", "sac"],
+)
+def test_a_run_resumes_with_other_clips_in_fresh_episodes(
+    tmp_path: Path, by_ppo: dict[int, bytes], form: Format, settings: Any, seeds: tuple[int, ...]
+) -> None:
+    is_the_same = settings is PPO_SETTINGS and not seeds
+    kept = by_ppo if is_the_same else checkpoints(run(tmp_path, settings, seeds))
+    half, whole = sorted(kept)
+    three = [flight(0.5, name="slow"), *BOTH]
+    with pytest.raises(JobFailed, match=r"record is float32\[.*2, 2\] in the checkpoint"):
+        run(tmp_path, settings, seeds, three, resume=kept[half])
+    other = run(tmp_path, settings, seeds, three, resume=kept[half], new_clips=True)
+    events = other.events()
+    next(events)
+    had, has = form.read(kept[half])[1], form.read(other.checkpoint())[1]
+    if seeds:
+        had, has = had["runs"], has["runs"]
+    assert has["record"].shape[-2:] == (2, 3)
+    assert not has["record"].any()
+    if form is SAC:  # Its targets reach over several steps of an environment: none is of two episodes.
+        assert had["replay"]["written"] > has["replay"]["written"] == 0
+    for name in has.keys() - {"episodes", "record", "replay"}:
+        jax.tree.map(np.testing.assert_array_equal, has[name], had[name])
+    assert [event.step for event in events if isinstance(event, CheckpointReady)] == [whole]
+    assert other.checkpoint() != kept[whole]

@@ -25,7 +25,7 @@ from core.jobs.decoders import decoder_file
 from core.jobs.experts import expert_file
 from core.jobs.job import Artifact, Attempt, Job
 from core.jobs.resolved import engines_that_cannot, model_of
-from core.jobs.source import source_artifact
+from core.jobs.source import has_other_clips, source_artifact
 from core.jobs.spec import RolloutSpec, TrainSpec, decoder_job
 from core.jobs.uploads import clip_files_of
 from core.physics.availability import EngineName
@@ -162,7 +162,11 @@ def _with_source(task: Task, claim: Claim) -> Task:
     if isinstance(spec, RolloutSpec) and source_job.seeds:
         seed = source_job.seeds[0] if source.seed is None else source.seed
         return task.model_copy(update={"policy_seed": seed})
-    if isinstance(spec, TrainSpec) and spec.algorithm.checkpoint_holds_envs:
+    if not isinstance(spec, TrainSpec):
+        return task
+    if has_other_clips(source_job.spec.environment, spec.environment):
+        return task.model_copy(update={"new_clips": True})
+    if spec.algorithm.checkpoint_holds_envs:
         return task.model_copy(update={"source_engine": _choice(source_job.engine)})
     return task
 

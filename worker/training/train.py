@@ -59,6 +59,10 @@ _WARNINGS = {
     "episode ended (training/lost_bodies is the share of steps). Stiff contacts, strong actuators or a long "
     "timestep can be the cause.",
 }
+_NEW_CLIPS = (
+    "The checkpoint is of a job with other clips: the policy goes on from there; episodes, and the counts of "
+    "where in the clips they fail, begin again."
+)
 
 
 def train(
@@ -75,6 +79,8 @@ def train(
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     if differs := built.other_versions(task.made_with):
         events.send(Noted(text=differs))
+    if task.new_clips:
+        events.send(Noted(text=_NEW_CLIPS))
     if lends_to_few := why_it_lends_to_few(built.job, settings):
         events.send(Noted(text=lends_to_few))
     check_memory(built.job.memory_on(built.device, built.num_devices), built.device, task.gpu_part)
@@ -195,6 +201,7 @@ def begin_or_resume(
             checkpoint_every_steps=every,
             resume=resume,
             devices=built.num_devices,
+            new_clips=task.new_clips,
             experts=[
                 load_policy((events.spool / path).read_bytes(), kind, is_checkpoint=False)
                 for path, kind in task.experts
@@ -202,7 +209,12 @@ def begin_or_resume(
         )
         return run, [PolicyInTraining(spec, events, lambda: run.step, run.policy)]
     together = make_seeds_run(
-        built.environment, settings, seeds=spec.seeds, checkpoint_every_steps=every, resume=resume
+        built.environment,
+        settings,
+        seeds=spec.seeds,
+        checkpoint_every_steps=every,
+        resume=resume,
+        new_clips=task.new_clips,
     )
     return together, [
         PolicyInTraining(

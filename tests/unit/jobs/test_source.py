@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from core.jobs.source import difference
+from core.jobs.source import difference, has_other_clips
 from core.jobs.spec import EnvironmentSpec
 
 MODEL = "sha256:" + "0" * 64
@@ -48,6 +48,23 @@ def test_the_first_other_difference_is_named(changes: dict[str, Any], place: str
     assert found[0] == f"/environment/options/{place}"
     assert values in found[1]
     assert len(found[1]) < 250
+
+
+def following(file: str, **changes: Any) -> EnvironmentSpec:
+    return own(reference={"clips": [{"file": "sha256:" + file * 64}], **changes})
+
+
+@pytest.mark.parametrize("changes", [{}, {"random_phase": 0.5}, {"sampling": {"kind": "uniform"}}])
+def test_the_clips_of_a_reference_may_differ(changes: dict[str, Any]) -> None:
+    assert difference(following("1"), following("2", **changes), ()) is None
+    assert has_other_clips(following("1"), following("2", **changes))
+    assert has_other_clips(following("1"), following("1", **changes)) == bool(changes)
+
+
+def test_what_is_seen_of_a_reference_may_not_differ() -> None:
+    found = difference(following("1"), following("2", ahead={"frames": 9}), ())
+    assert found == ("/environment/options/reference/ahead/frames", "3 there and 9 here")
+    assert difference(own(), following("1"), ()) is not None
 
 
 def test_another_environment_is_another_and_a_free_option_is_none() -> None:
