@@ -4,7 +4,7 @@ Each frame is a least-squares problem within the joints' limits, which MuJoCo's 
 from the pose of the frame before.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,13 +67,15 @@ def solve(  # noqa: PLR0913 # All but the recording and the body are named.
     rate: float,
     name: str = "clip",
     rounds: int = 0,
+    begin: Callable[[int, int], object] = lambda frame, num_frames: None,
 ) -> Solution:
     """The clip whose poses follow the key points, without velocities.
 
     key_points: [T, K, 3] m in the world; NaN where one was not seen. names: of the K. mapping: which point of
     which body each key point is; a key point that it does not name is not used. rate: frames per second.
     rounds: how often poses are solved and the points' offsets fitted to them, before the clip itself is
-    solved (STAC: Wu et al., 2013). Raises BadClips.
+    solved (STAC: Wu et al., 2013). begin: is told each frame that comes next, and how many there are.
+    Raises BadClips.
     """
     skeleton = skeleton_of(model)
     used = _used(key_points, names, mapping)
@@ -87,6 +89,7 @@ def solve(  # noqa: PLR0913 # All but the recording and the body are named.
     for _ in range(rounds):
         fit.fit_offsets(row, seen)
     for frame, targets in enumerate(seen):
+        begin(frame, len(seen))
         row = fit.nearest(row, targets, _ITERATIONS if frame else _FIRST_ITERATIONS)
         rows[frame], ours[frame] = row, fit.points(row)
     distances[:, used] = np.linalg.norm(ours - seen, axis=-1)

@@ -5,7 +5,7 @@ import json
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -127,16 +127,27 @@ def seconds_for(found: KeyPoints) -> int:
     return round(num_frames * num_points * _SECONDS_A_POINT)
 
 
-def solved(
-    found: KeyPoints, options: KeyPointOptions, model: mujoco.MjModel, *, rate: float, name: str
+def solved(  # As `solve`.
+    found: KeyPoints,
+    options: KeyPointOptions,
+    model: mujoco.MjModel,
+    *,
+    rate: float,
+    name: str,
+    begin: Callable[[int, int], object] = lambda frame, num_frames: None,
 ) -> Solved:
-    """The clip that follows the recording. rate: frames per second. name: the clip's. Raises BadClips."""
+    """The clip that follows the recording. rate: frames per second. name: the clip's. begin: as of `solve`.
+
+    Raises BadClips.
+    """
     said = options.names or found.names
     mapping = options.points or _ready(said, found.points.shape[1], model)
     names = _names(said or tuple(mapping), found)
     scale, warnings = _scale(found.points, names, mapping, model, options)
     points = found.points * scale + np.array([0.0, 0.0, options.lift])
-    solution = solve(points, names, mapping, model, rate=rate, name=name, rounds=options.fit_offsets)
+    solution = solve(
+        points, names, mapping, model, rate=rate, name=name, rounds=options.fit_offsets, begin=begin
+    )
     facts = [
         _facts(one, point, solution, solution.distances[:, names.index(one)])
         for one, point in mapping.items()

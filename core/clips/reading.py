@@ -46,19 +46,21 @@ class Reading:
     key_points: Sequence[KeyPointFacts] = ()
 
 
-def read(
+def read(  # All but the file and the body are named.
     path: Path,
     model: mujoco.MjModel,
     *,
     rate: float | None = None,
     name: str = "clip",
     allow: Callable[[int], object] = lambda seconds: None,
+    begin: Callable[[int, int], object] = lambda frame, num_frames: None,
 ) -> Reading:
     """The clips of the file, checked.
 
     rate: frames per second, for a file that does not say. name: of the clip of a file that has one, and no
     name for it. allow: is told the seconds of processor time that key points may take, before they are
-    solved. Raises BadClips with what is wrong, clip by clip; nothing of such a file can be used.
+    solved. begin: as of `inverse_kinematics.solve`. Raises BadClips with what is wrong, clip by clip; nothing
+    of such a file can be used.
     """
     skeleton = skeleton_of(model)
     path, options = key_points.unpacked(path)
@@ -66,7 +68,7 @@ def read(
     if isinstance(found, KeyPoints):
         allow(key_points.seconds_for(found))
         options = options or key_points.KeyPointOptions.model_validate({})
-        solved = key_points.solved(found, options, model, rate=_rate(found, rate), name=name)
+        solved = key_points.solved(found, options, model, rate=_rate(found, rate), name=name, begin=begin)
         clip = with_velocities(solved.clip)
         # The poses are estimates: what is wrong with some, as a tail that no point shows, is told alone.
         findings = check(clip, skeleton)

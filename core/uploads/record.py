@@ -19,7 +19,8 @@ KindName = Literal["model", "clips"]
 
 
 class Upload(Stored):
-    """id: `sha256:` and a hash. message, refused_at: why and when it was refused. size: bytes.
+    """id: `sha256:` and a hash. message, refused_at: why and when it was refused; of one that is being
+    validated, message says how far that is, where it takes long. size: bytes.
 
     name: for people, as its sender gave it; several may have the same. media_type: of the file. description:
     what was found in it, of the kind's own class.
@@ -110,7 +111,7 @@ class UploadStore(Protocol[Record]):
         ...
 
     def settle(self, record: Record) -> None:
-        """Store the result of the validation; the name stays.
+        """Store the result of the validation, or how far it is; the name stays.
 
         Raises the kind's `missing` where it was deleted meanwhile.
         """

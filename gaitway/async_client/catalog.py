@@ -127,9 +127,10 @@ class AsyncCatalog(AsyncConnection):
         while clips.status == "validating":
             if time.monotonic() > deadline:
                 raise WaitTimeout(
-                    f"No worker has read the clips {clips.id} after {timeout:g} s; one that trains reads them"
-                    " after its job, and key points take minutes. The service keeps them: `gaitway clips"
-                    " show` tells when they are ready."
+                    f"No worker has read the clips {clips.id} after {timeout:g} s"
+                    + (f" ({clips.message[:-1]})" if clips.message else "")
+                    + "; one that trains reads them after its job, and key points take minutes. The service "
+                    "keeps them: `gaitway clips show` tells when they are ready."
                 )
             await async_sleep(POLL_S)
             clips = await self.clip_file(clips.id)

@@ -65,7 +65,8 @@ def list_all(
         print_json(found)
         return
     for file in found:
-        print(f"{file.id}  {file.status}  {file.body[:20]}  {_sum(file)}  {file.name or ''}".rstrip())
+        so_far = file.message if file.status == "validating" and file.message else _sum(file)
+        print(f"{file.id}  {file.status}  {file.body[:20]}  {so_far}  {file.name or ''}".rstrip())
     if not found:
         print("No clips.")
 

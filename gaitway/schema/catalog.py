@@ -148,7 +148,7 @@ class ClipsContents(View):
 
 class ClipFileView(View):
     """A file of clips. body: whose they are; rate: as it was sent. description: set once it is `ready`;
-    message: why it was `refused`; size: bytes."""
+    message: why it was `refused`, or how far key points are fitted while it is `validating`; size: bytes."""
 
     id: str
     name: str | None = None

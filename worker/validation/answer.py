@@ -1,5 +1,7 @@
 """What the confined process is asked, and its answer."""
 
+import os
+import re
 from pathlib import Path
 from typing import TypeVar
 
@@ -11,6 +13,9 @@ from core.user_models.record import Description
 from worker.host.disk import read_plain
 
 _MAX_BYTES = 16 * 2**20
+# How far the process is with key points: `<frame> <number of frames>`.
+_PROGRESS, _LONGEST_PROGRESS = "progress", 100
+_AT = re.compile(rb"(\d{1,9}) (\d{1,9})")
 
 
 class ModelAnswer(Stored):
@@ -49,3 +54,19 @@ def read_answer(path: Path, kind: type[Answer]) -> Answer:
         return kind.model_validate_json(read_plain(path, _MAX_BYTES))
     except (OSError, ValidationError):
         return kind()
+
+
+def write_progress(folder: Path, frame: int, num_frames: int) -> None:
+    """Leave word of how far the process is."""
+    part = folder / f"{_PROGRESS}.part"
+    part.write_text(f"{frame} {num_frames}")
+    os.replace(part, folder / _PROGRESS)
+
+
+def read_progress(folder: Path) -> str | None:
+    """A sentence on how far the process is; None where it has not said so."""
+    try:
+        at = _AT.fullmatch(read_plain(folder / _PROGRESS, _LONGEST_PROGRESS))
+    except OSError:
+        return None
+    return None if at is None else f"Fitting frame {int(at[1]):,} of {int(at[2]):,}."

@@ -21,17 +21,26 @@ from core.physics.choose import engine_builder
 from core.rendering.replay.replay import replay_of, scene_of
 from core.rendering.timeline import EpisodeMotion
 from worker.confinement.confinement import allow_cpu
-from worker.validation.answer import ClipsQuestion
+from worker.validation.answer import ClipsQuestion, write_progress
 
 # Of all clips together: what a look at them needs.
 _MOST_FRAMES = 20_000
+# Key points are fitted at some hundred frames a second.
+_TELLS_EVERY = 100
 
 
 def clip_findings(folder: Path) -> ClipsDescription:
     """The description. It leaves what is made of the file in the folder. Raises BadClips."""
     question = ClipsQuestion.model_validate_json((folder / "question.json").read_text())
     model = _body(question.body, folder)
-    found = read(folder / "clips", model, rate=question.rate, name=question.name, allow=allow_cpu)
+
+    def begin(frame: int, num_frames: int) -> None:
+        if frame % _TELLS_EVERY == 0:
+            write_progress(folder, frame, num_frames)
+
+    found = read(
+        folder / "clips", model, rate=question.rate, name=question.name, allow=allow_cpu, begin=begin
+    )
     (folder / ARCHIVE).write_bytes(archive.to_bytes(found.clips))
     shown, why = _replayed(found.clips, model, folder)
     return ClipsDescription(

@@ -16,7 +16,7 @@ from core.storage.objects import ObjectStore, save_whole
 from core.uploads import library
 from worker.confinement.confinement import Limits
 from worker.host.disk import read_plain
-from worker.validation.answer import ClipsAnswer, ClipsQuestion, read_answer
+from worker.validation.answer import ClipsAnswer, ClipsQuestion, read_answer, read_progress
 from worker.validation.confined import ANSWER, run_to_its_end, why_without_answer
 
 log = structlog.get_logger()
@@ -52,7 +52,7 @@ def validate_clips(
     answer = _examined(record, uploads, objects, folder, data_dir, strictly=strictly)
     if (description := answer.description) is not None:
         description = _kept(record, description, folder, objects)
-        found = record.model_copy(update={"status": "ready", "description": description})
+        found = record.model_copy(update={"status": "ready", "message": None, "description": description})
     else:
         told = {"status": "refused", "message": answer.refusal, "refused_at": utc_now()}
         found = record.model_copy(update=told)
@@ -90,7 +90,12 @@ def _examined(
     question = ClipsQuestion(body=record.body, rate=record.rate, name=record.name or "clip")
     (folder / "question.json").write_text(question.model_dump_json())
     status = run_to_its_end(
-        "clips", folder, data_dir, _LIMITS, strictly=strictly, look_up=partial(_look_up, record, uploads)
+        "clips",
+        folder,
+        data_dir,
+        _LIMITS,
+        strictly=strictly,
+        look_up=partial(_look_up, record, uploads, folder),
     )
     answer = read_answer(folder / ANSWER, ClipsAnswer)
     if answer.refusal is not None or (answer.description is not None and status == 0):
@@ -98,10 +103,12 @@ def _examined(
     return ClipsAnswer(refusal=why_without_answer("The reader", "file of clips", status, _LIMITS))
 
 
-def _look_up(record: ClipFile, uploads: Uploads) -> None:
-    """Raises ClipsNotFound once somebody has deleted the file."""
+def _look_up(record: ClipFile, uploads: Uploads, folder: Path) -> None:
+    """Store how far the reading is. Raises ClipsNotFound once somebody has deleted the file."""
     with suppress(Unavailable):
-        library.find(record.id, uploads.clips)
+        known, message = library.find(record.id, uploads.clips), read_progress(folder)
+        if message not in (None, known.message):
+            uploads.clips.settle(record.model_copy(update={"message": message}))
 
 
 def _kept(record: ClipFile, found: ClipsDescription, folder: Path, objects: ObjectStore) -> ClipsDescription:

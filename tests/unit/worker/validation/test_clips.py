@@ -3,6 +3,7 @@
 import io
 import json
 import signal
+import threading
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,6 +26,7 @@ from core.storage import keys
 from core.uploads import library
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.models import add as add_model
+from worker.validation.answer import read_progress
 from worker.validation.clips import validate_clips
 
 HOPS = b"""<mujoco><worldbody>
@@ -114,10 +116,10 @@ def test_what_a_file_holds_is_kept_with_its_archive_and_a_replay(
     assert [episode["name"] for episode in header["episodes"]] == ["hop", "stay"]
 
 
-def hop_seen() -> tuple[bytes, dict[str, Any]]:
+def hop_seen(frames: int = 26) -> tuple[bytes, dict[str, Any]]:
     """Key points of the hop in mm, an NPZ, and which of its body they are: three of the trunk, which stays
     upright, and the end of the leg."""
-    clip = hop()
+    clip = hop(frames=frames)
     trunk, angle = clip.root_position, clip.joint_positions[:, 0]
     offsets = {"a": [0.1, 0.1, 0.0], "b": [0.1, -0.1, 0.0], "c": [-0.1, 0.0, 0.05]}
     toe = trunk + np.stack([-0.4 * np.sin(angle), 0 * angle, -0.05 - 0.4 * np.cos(angle)], axis=1)
@@ -129,13 +131,16 @@ def hop_seen() -> tuple[bytes, dict[str, Any]]:
     return recording.getvalue(), {"points": said, "fit_offsets": 0}
 
 
-def test_key_points_become_a_clip_of_their_body(tmp_path: Path, stores: dict[str, Any]) -> None:
-    recording, points = hop_seen()
+def zipped(recording: bytes, points: dict[str, Any]) -> bytes:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as file:
         file.writestr("points.json", json.dumps(points))
         file.writestr("recording.npz", recording)
-    found = sent(packed.getvalue(), stores, tmp_path)
+    return packed.getvalue()
+
+
+def test_key_points_become_a_clip_of_their_body(tmp_path: Path, stores: dict[str, Any]) -> None:
+    found = sent(zipped(*hop_seen()), stores, tmp_path)
     assert (found.status, found.message) == ("ready", None)
     described = found.description
     assert described is not None
@@ -148,6 +153,36 @@ def test_key_points_become_a_clip_of_their_body(tmp_path: Path, stores: dict[str
     (kept := tmp_path / "kept.npz").write_bytes(stores["objects"].get(keys.made_of_clips(found.id, ARCHIVE)))
     [solved] = archive.from_file(kept)
     np.testing.assert_allclose(solved.joint_positions, hop().joint_positions, atol=5e-3)
+
+
+def test_a_long_recording_says_how_far_its_reading_is(
+    tmp_path: Path, stores: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.validation.confined._ASKS_EVERY_S", 0.01)
+    told, done = set[str | None](), threading.Event()
+
+    def watch() -> None:
+        while not done.is_set():
+            told.update(record.message for record in stores["store"].clips.all())
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        found = sent(zipped(*hop_seen(frames=1001)), stores, tmp_path)
+    finally:
+        done.set()
+        watcher.join()
+    assert (found.status, found.message) == ("ready", None)
+    frames = {f"Fitting frame {frame:,} of 1,001." for frame in range(0, 1001, 100)}
+    assert told & frames
+    assert told <= frames | {None}
+
+
+def test_a_process_that_says_anything_else_of_its_progress_is_not_believed(tmp_path: Path) -> None:
+    assert read_progress(tmp_path) is None
+    for said in ("", "half", "1 2 3", "1" * 200, "<b> 2"):
+        (tmp_path / "progress").write_text(said)
+        assert read_progress(tmp_path) is None
 
 
 def test_clips_that_are_deleted_while_they_are_read_end_their_process(
