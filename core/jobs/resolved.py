@@ -16,7 +16,7 @@ from core.environments.mjcf.check import problems
 from core.environments.mjcf.edit_check import edited
 from core.environments.mjcf.edit_options import ModelEdits
 from core.environments.mjcf.info import MjcfOptions
-from core.environments.terms.inventory import inventory_of, names_by_kind, parts_by_kind
+from core.environments.terms.inventory import Inventory, inventory_of, names_by_kind, parts_by_kind
 from core.environments.terms.task import task_slices
 from core.errors import EnvironmentNotFound, ModelNotFound, Problem, Rejected
 from core.jobs.job import Job
@@ -92,11 +92,10 @@ def resolve_environment(
     if isinstance(options, MjcfOptions) and description is not None:
         info = _row_of(info, options, description)
 
-    def no_mirror() -> str | None:
-        parts = inventory_of(environment.id) if description is None else description.inventory
-        return parts.no_mirror
+    def model() -> Inventory:
+        return inventory_of(environment.id) if description is None else description.inventory
 
-    check_clips(environment, info, uploads, no_mirror)
+    check_clips(environment, info, uploads, model)
     return info, options
 
 

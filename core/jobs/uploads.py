@@ -7,11 +7,17 @@ from typing import Protocol, cast
 from core.clips.options import ClipChoice
 from core.clips.record import ARCHIVE, ClipFile, ClipStore
 from core.environments.info import EnvironmentInfo
+from core.environments.terms.inventory import Inventory
+from core.environments.terms.page import task_of
+from core.environments.terms.reference import Reference, compared_bodies, too_many_frames
+from core.environments.terms.task import control_step_s
 from core.errors import ClipsNotFound, Problem, Rejected
 from core.jobs.spec import EnvironmentSpec
 from core.patterns import matching
 from core.uploads import library
 from core.user_models.record import ModelStore
+
+_CLIPS = "/environment/options/reference/clips"
 
 
 class Uploads(Protocol):
@@ -51,32 +57,46 @@ def archives_of(environment: EnvironmentSpec, uploads: Uploads) -> dict[str, str
 
 
 def check_clips(
-    environment: EnvironmentSpec,
-    info: EnvironmentInfo,
-    uploads: Uploads,
-    no_mirror: Callable[[], str | None],
+    environment: EnvironmentSpec, info: EnvironmentInfo, uploads: Uploads, model: Callable[[], Inventory]
 ) -> None:
-    """Refuse clips that do not exist, are not validated yet, move another body, lack what the job names, or
-    are to be mirrored and cannot be.
+    """Refuse clips that do not exist, are not validated yet, move another body, lack what the job names, are
+    to be mirrored and cannot be, or have more frames than a job has room for.
 
-    info: the environment's row under its options. no_mirror: why clips of its body cannot be mirrored.
-    Raises Rejected.
+    info: the environment's row under its options. model: of its body. Raises Rejected.
     """
-    reference: object = getattr(info.option_values, "reference", None)
-    choices: Sequence[ClipChoice] = getattr(reference, "clips", ())
+    reference = getattr(info.option_values, "reference", None)
+    if not isinstance(reference, Reference):
+        return
     find = cache(partial(library.find, store=uploads.clips))  # Many choices may be of one file.
     problems = [
-        Problem(f"/environment/options/reference/clips/{place}/{field}", detail)
-        for place, choice in enumerate(choices)
+        Problem(f"{_CLIPS}/{place}/{field}", detail)
+        for place, choice in enumerate(reference.clips)
         for field, detail in _clip_problems(choice, environment, info, find)
     ]
-    mirrored = [place for place, choice in enumerate(choices) if choice.mirror]
-    if mirrored and (why := no_mirror()) is not None:
-        problems += [
-            Problem(f"/environment/options/reference/clips/{place}/mirror", why) for place in mirrored
-        ]
+    mirrored = [place for place, choice in enumerate(reference.clips) if choice.mirror]
+    if mirrored and (why := model().no_mirror) is not None:
+        problems += [Problem(f"{_CLIPS}/{place}/mirror", why) for place in mirrored]
+    if not problems and (task := task_of(info, info.option_values)) is not None:
+        step_s = control_step_s(task, model())
+        num_frames = sum(_num_frames(choice, step_s, find) for choice in reference.clips)
+        sizes, num_bodies = model().sizes, len(compared_bodies(reference, model()))
+        if (why := too_many_frames(num_frames, sizes.nq, sizes.nv, num_bodies)) is not None:
+            problems.append(Problem(_CLIPS, why))
     if problems:
         raise Rejected(" ".join(problem.detail for problem in problems[:5]), problems)
+
+
+def _num_frames(choice: ClipChoice, step_s: float, find: Callable[[str], ClipFile]) -> int:
+    """How many frames the chosen clips have, one for each control step."""
+    described = find(choice.file).description
+    clips = [] if described is None else described.clips
+    names = [clip.name for clip in clips]
+    wanted = names if choice.names is None else matching(choice.names, names)
+    return sum(
+        int((min(clip.seconds, choice.to_s or clip.seconds) - choice.from_s) / choice.speed / step_s) + 1
+        for clip in clips
+        if clip.name in wanted
+    )
 
 
 def _clip_problems(

@@ -250,6 +250,21 @@ def test_a_mirror_of_a_body_that_is_not_symmetric_is_refused(stack: Stack) -> No
         assert "no joint is the mirror image of `neck`" in wrong["detail"]
 
 
+def test_clips_of_more_frames_than_a_job_has_room_for_are_refused(stack: Stack) -> None:
+    long = ClipFacts(name="day", num_frames=4_320_001, rate=50.0, seconds=86_400.0)
+    with worker(stack, status="ready", description=replaced(DESCRIPTION, clips=[long])):
+        clips = send(stack.http).json()["id"]
+    assert stack.http.post("/jobs/check", json=job({"file": clips, "to_s": 600})).status_code == 200
+    half = {"file": clips, "to_s": 43_200, "speed": 2}
+    document = problem(stack.http.post("/jobs/check", json=job(half)), 422, "invalid-request")
+    [wrong] = document["errors"]
+    assert wrong["pointer"] == "/environment/options/reference/clips"
+    # 43,200 s in half the time, and both ends.
+    assert (
+        "have 1,080,001 frames at the rate of the control steps, and a job has room for " in wrong["detail"]
+    )
+
+
 def test_clips_that_are_not_validated_yet_are_refused(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(route, "_TIMEOUT_S", 0.01)
     answer = send(stack.http)

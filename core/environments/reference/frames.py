@@ -14,13 +14,10 @@ from core.clips.mirror import mirror_of, mirrored
 from core.clips.options import ClipChoice, called, distinct
 from core.clips.skeleton import skeleton_of
 from core.environments.terms.followed import Followed
-from core.environments.terms.reference import Frame
+from core.environments.terms.reference import Frame, too_many_frames
 from core.errors import BadClips, JobFailed
 from core.patterns import matching
 from core.reasons import Reason
-
-# Every compiled program holds the frames of its job.
-_MOST_BYTES = 256 * 10**6
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,9 @@ def frames_of(
     Raises JobFailed("bad_clips") where a clip has joints that the model lacks, or no joint, and where the
     frames are more than a program can hold.
     """
-    _check_size(sum(one.num_frames for one, _ in chosen), model, len(followed.bodies))
+    num_frames = sum(one.num_frames for one, _ in chosen)
+    if (why := too_many_frames(num_frames, model.nq, model.nv, len(followed.bodies))) is not None:
+        raise _bad(why)
     parts = [_frames(one, model, followed, pose) for one, _ in chosen]
     lengths = np.array([len(part.qpos) for part in parts])
     return Frames(
@@ -100,17 +99,6 @@ def _changed(clip: Clip, choice: ClipChoice, rate: float, model: mujoco.MjModel)
     if clip.num_frames < 2:
         raise _bad(f"The clip {clip.name!r} lasts less than a control step of {1 / rate:g} s.")
     return replace(clip, name=called(clip.name, choice))
-
-
-def _check_size(num_frames: int, model: mujoco.MjModel, num_bodies: int) -> None:
-    of_a_body = 3 + 4 + 3 + 3  # Position, orientation, and two velocities.
-    size = num_frames * (model.nq + model.nv + num_bodies * of_a_body) * np.float32().itemsize
-    if size > _MOST_BYTES:
-        raise _bad(
-            f"The clips have {num_frames:,} frames at the rate of the control steps, which take "
-            f"{size / 1e6:,.0f} MB, and a job has room for {_MOST_BYTES / 1e6:,.0f} MB: choose fewer clips "
-            "or cut them."
-        )
 
 
 def _frames(clip: Clip, model: mujoco.MjModel, followed: Followed, pose: np.ndarray) -> Frame:

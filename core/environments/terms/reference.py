@@ -12,6 +12,9 @@ from core.patterns import PATTERNS, Patterns, matching
 
 MOST_AHEAD = 50
 _MOST_CHOICES = 256
+# Every compiled program holds the frames of its job: float32, and of each body a position, an orientation and
+# two velocities.
+_MOST_BYTES, _NUMBER_BYTES, _OF_A_BODY = 256 * 10**6, 4, 3 + 4 + 3 + 3
 
 
 class Ahead(Strict):
@@ -118,3 +121,18 @@ def compared_bodies(reference: Reference, model: Inventory) -> list[str]:
         return matching(reference.bodies, model.bodies[1:])
     moved = {joint.body for joint in model.joints}
     return [body for body in model.bodies if body in moved]
+
+
+def too_many_frames(num_frames: int, num_positions: int, num_velocities: int, num_bodies: int) -> str | None:
+    """A sentence where a job has no room for so many frames.
+
+    num_positions, num_velocities: nq and nv of the model. num_bodies: those that frames hold.
+    """
+    of_a_frame = (num_positions + num_velocities + num_bodies * _OF_A_BODY) * _NUMBER_BYTES
+    if num_frames * of_a_frame <= _MOST_BYTES:
+        return None
+    return (
+        f"The clips have {num_frames:,} frames at the rate of the control steps, and a job has room for "
+        f"{_MOST_BYTES // of_a_frame:,} ({_MOST_BYTES / 1e6:,.0f} MB): choose fewer by `names`, cut them by "
+        "`from_s` and `to_s`, compare fewer `bodies`, or make control steps longer (`n_frames`)."
+    )

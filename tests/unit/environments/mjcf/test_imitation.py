@@ -295,9 +295,9 @@ def test_more_frames_than_a_program_can_hold_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The probe has 8 positions and 7 velocities, and its two bodies 13 numbers each: 164 B a row.
-    monkeypatch.setattr("core.environments.reference.frames._MOST_BYTES", 164 * NUM_ROWS)
+    monkeypatch.setattr("core.environments.terms.reference._MOST_BYTES", 164 * NUM_ROWS)
     follower(tmp_path)
-    with pytest.raises(JobFailed, match=r"18 frames .* choose fewer clips or cut them") as failed:
+    with pytest.raises(JobFailed, match=r"18 frames .* has room for 9 .* cut them") as failed:
         follower(tmp_path, [flight(name="a"), flight(name="b")])
     assert failed.value.reason == Reason.BAD_CLIPS
 
