@@ -1,6 +1,7 @@
 """The specification of a job: a union discriminated by `kind`. Validation here checks only its shape;
 `core.jobs.checks` checks whether its parts fit together."""
 
+import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self, cast
 
@@ -26,7 +27,8 @@ from core.physics.availability import PhysicsChoice
 from core.rendering.layout import Layout
 from core.rendering.request import Overlay
 
-JobId = Annotated[str, Field(pattern=r"^[0-9a-f]{12}-[0-9a-f]{10}$", examples=["019aa3c2f0b1-5be0c1d2e3"])]
+_JOB_ID = r"^[0-9a-f]{12}-[0-9a-f]{10}$"
+JobId = Annotated[str, Field(pattern=_JOB_ID, examples=["019aa3c2f0b1-5be0c1d2e3"])]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 # The most seeds of one training: as many ants as an H100 was measured with.
 MOST_SEEDS = 16
@@ -87,12 +89,16 @@ def _bare_id(value: Any) -> Any:
 
 
 def decoder_job(environment: EnvironmentSpec) -> str | None:
-    """The id of the job whose decoder acts in the environment's task, if one does."""
+    """The id of the job whose decoder acts in the environment's task, if one does.
+
+    Options that are not checked yet may say anything: what can be no job's id is none.
+    """
     action: Any = environment.options.get("action")
     if not isinstance(action, dict):
         return None
     said = cast("dict[str, Any]", action)
-    return str(said["job"]) if said.get("kind") == "decoder" and "job" in said else None
+    job = str(said.get("job")) if said.get("kind") == "decoder" else ""
+    return job if re.fullmatch(_JOB_ID, job) else None
 
 
 EnvironmentChoice = Annotated[

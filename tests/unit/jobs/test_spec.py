@@ -14,7 +14,7 @@ from core.algorithms.ppo.tuned import TUNED
 from core.environments.info import EnvironmentInfo
 from core.errors import Rejected
 from core.jobs.job import Artifact, Job
-from core.jobs.spec import JOB_SPEC, TrainSpec
+from core.jobs.spec import JOB_SPEC, EnvironmentSpec, TrainSpec, decoder_job
 from tests.unit.jobs.making import make_job
 
 
@@ -92,6 +92,13 @@ INFO = EnvironmentInfo(
     id="probe", description="", factory="", observation_size=1, action_size=1, dt=0.05, episode_length=10,
     tracked_body="",
 )  # fmt: skip
+
+
+def test_only_a_jobs_id_names_the_job_of_a_decoder() -> None:
+    job = "019aa3c2f0b1-5be0c1d2e3"
+    for said, found in ((job, job), (f"{job}\0", None), (f"{job}\n", None), (7, None), (None, None)):
+        options: Any = {"action": {"kind": "decoder", "job": said}}
+        assert decoder_job(EnvironmentSpec(id="go1", options=options)) == found
 
 
 @pytest.fixture
