@@ -5,7 +5,7 @@ not their jobs.
 """
 
 from collections.abc import Collection, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from core.algorithms.catalog import ALGORITHMS, reported
 from core.algorithms.distillation.spec import EXPERTS, DistillationSpec, Expert
@@ -31,6 +31,13 @@ _FILLED_IN = ("clip_names", "sees", "places")
 _SHOWN_OF_A_REFERENCE = ("ahead", "bodies", "anchor", "end_effectors")
 # The fields of a term that a critic's observation ignores: it sees exact values.
 _NOISE = {"noise", "bias", "delay"}
+
+
+class _Origin(NamedTuple):
+    """A clip's name in its file; the file, and what is changed in the clip."""
+
+    name: str
+    choice: ClipChoice
 
 
 def expert_file(expert: Expert, source: Job) -> Artifact | None:
@@ -59,7 +66,7 @@ def with_experts(spec: JobSpec, store: JobStore, readable: Collection[str] | Non
             raise Rejected(refused.detail, [Problem(place, refused.detail) for place in places]) from None
     algorithm = spec.algorithm.model_copy(update={"experts": experts})
     if experts:
-        algorithm.num_of_expert(_names(_choices(options), store))
+        algorithm.num_of_expert(list(_clips(options, store)))
     return spec.model_copy(update={"algorithm": algorithm})
 
 
@@ -95,7 +102,7 @@ def _filled_in(
         found["sees"], found["places"] = _places(source.id, terms, before, here, model)
     _check_shown_alike(options, source.id, had)
     if _choices(options) and expert.clips is None:
-        found["clip_names"] = _own_clips(source.id, had, store)
+        found["clip_names"] = _own_clips(source.id, had, options, store)
     elif not _choices(options) and expert.clips is not None:
         raise _refusal("`clips` are those of a task with a `reference`: leave them out.", "clips")
     for name in _FILLED_IN:
@@ -181,14 +188,24 @@ def _places(
     raise Rejected(detail, [Problem("/environment/options/observation", detail)])
 
 
-def _own_clips(job_id: str, had: Strict, store: JobStore) -> list[str]:
-    """The clips of an expert's own job, by name."""
+def _own_clips(job_id: str, had: Strict, options: Strict, store: JobStore) -> list[str]:
+    """The clips of this task on which an expert's job was trained, by their names here.
+
+    had: the task of the expert's job; options: this task.
+    """
     try:
-        names = _names(_choices(had), store)
+        theirs = set(_clips(had, store).values())
     except ClipsNotFound:
-        names = []
-    if not names:
+        theirs = set[_Origin]()
+    if not theirs:
         detail = f"Job {job_id} has no clips of its own, or they were deleted: say by `clips` which it knows."
+        raise _refusal(detail, "clips")
+    names = [name for name, origin in _clips(options, store).items() if origin in theirs]
+    if not names:
+        detail = (
+            f"Job {job_id} was trained on no clip of this job: of the same file, and cut, mirrored and "
+            "sped up as here. Say by `clips` which it knows."
+        )
         raise _refusal(detail, "clips")
     return names
 
@@ -198,15 +215,18 @@ def _choices(options: Strict) -> Sequence[ClipChoice]:
     return getattr(reference, "clips", ())
 
 
-def _names(choices: Sequence[ClipChoice], store: JobStore) -> list[str]:
-    """The names that clips have in a job with these choices. Raises ClipsNotFound."""
+def _clips(options: Strict, store: JobStore) -> dict[str, _Origin]:
+    """Where the clips of a task come from, by the names that they have in its job. Raises ClipsNotFound."""
     names: list[str] = []
-    for choice in choices:
+    origins: list[_Origin] = []
+    for choice in _choices(options):
         description = library.find(choice.file, store.clips).description
         of_file = [clip.name for clip in description.clips] if description else []
         wanted = of_file if choice.names is None else matching(choice.names, of_file)
+        unnamed = choice.model_copy(update={"names": None, "weight": 1.0})
         names += [called(name, choice) for name in wanted]
-    return distinct(names)
+        origins += [_Origin(name, unnamed) for name in wanted]
+    return dict(zip(distinct(names), origins, strict=True))
 
 
 def _refusal(detail: str, field: str) -> Rejected:

@@ -60,11 +60,11 @@ def learning(*experts: Any, options: Any = OPTIONS) -> Any:
     )
 
 
-def with_clips(store: PostgresJobStore, *names: str) -> None:
+def with_clips(store: PostgresJobStore, *names: str, file: str = CLIPS) -> None:
     found = [{"name": name, "num_frames": 50, "rate": 50.0, "seconds": 0.98} for name in names]
     made = {"clips.npz": {"sha256": "2" * 64, "size": 1}}
     said = ClipsDescription.model_validate({"format": "ours", "clips": found, "joints": [], "made": made})
-    store.clips.add(clip_file(CLIPS, body="go1", description=said))
+    store.clips.add(clip_file(file, body="go1", description=said))
 
 
 def test_a_submission_fills_in_what_an_expert_sees(job_store: PostgresJobStore) -> None:
@@ -100,6 +100,29 @@ def test_every_clip_has_one_expert(job_store: PostgresJobStore) -> None:
     ):
         with pytest.raises(Rejected, match=sentence):
             submitted(*experts)
+
+
+def test_a_clip_is_its_experts_own_by_its_file_and_changes_and_not_by_its_name(
+    job_store: PostgresJobStore,
+) -> None:
+    other = "sha256:" + "3" * 64
+    with_clips(job_store, "clip")
+    with_clips(job_store, "clip", file=other)
+    of_the_first, of_the_second, fast = (
+        {**following(), "reference": {"clips": [choice]}}
+        for choice in ({"file": CLIPS}, {"file": other}, {"file": CLIPS, "speed": 2.0})
+    )
+    teachers = [
+        trained(job_store, at_s, options=had) for at_s, had in enumerate((of_the_first, of_the_second))
+    ]
+    both = {**following(), "reference": {"clips": [{"file": other, "weight": 2.0}, {"file": CLIPS}]}}
+    spec: Any = new_job(learning(*({"job": one.id} for one in teachers), options=both), job_store).spec
+    # The job calls them `clip` and `clip 2`.
+    assert spec.algorithm.num_of_expert(["clip", "clip 2"]) == [1, 0]
+    for options in (of_the_second, fast):
+        with pytest.raises(Rejected, match="was trained on no clip of this job: of the same file") as refused:
+            new_job(learning({"job": teachers[0].id}, options=options), job_store)
+        assert refused.value.problems[-1].pointer == "/algorithm/experts/0/clips"
 
 
 def test_the_job_is_kept_until_those_that_learn_from_it_have_ended(

@@ -32,10 +32,11 @@ class Expert(Strict):
     clips: Patterns | None = Field(
         default=None,
         description="The clips for which it answers, by the names that they have in this job; null: those of "
-        f"its own job. {PATTERNS}",
+        f"its own job, cut, mirrored and sped up as there. {PATTERNS}",
     )
     clip_names: Annotated[list[_ClipName], Field(max_length=100_000)] | None = Field(
-        default=None, description="The clips of its own job, where `clips` is null. Filled in."
+        default=None,
+        description="Those of its own job, by their names here, where `clips` is null. Filled in.",
     )
     sees: ppo.ObservationName = Field(
         default=POLICY_GROUP, description="Which observation, of several by name. Filled in."
