@@ -466,10 +466,6 @@ class JobStore(NewsStore, QuotaStore, RetentionStore, Uploads, UsageStore, Worke
         """The marks of these jobs; unknown jobs are left out."""
         ...
 
-    def users_of(self, upload_id: str) -> Sequence[str]:
-        """The ids of unfinished jobs that name this model or this file of clips."""
-        ...
-
     def jobs_needing_checkpoint_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
         """The ids of unfinished jobs that need a checkpoint of this one, each with the step that it names."""
         ...

@@ -21,6 +21,7 @@ from core.errors import (
     JobExists,
     JobNotFound,
     JobUnreadable,
+    ModelInUse,
     ModelNotFound,
     Rejected,
     StaleJob,
@@ -372,15 +373,6 @@ class TestListing:
 class TestNames:
     """The things that jobs name: models, checkpoints of other jobs, objects."""
 
-    def test_unfinished_jobs_use_a_model(self, jobs: JobStore) -> None:
-        model = {"id": "mjcf", "options": {"model": MODEL}}
-        first, second, ended = (queued_job(i, environment=model) for i in range(3))
-        for job in (second, first, ended, queued_job(3)):
-            jobs.add(job)
-        jobs.save(cancelled(ended))
-        assert jobs.users_of(MODEL) == [first.id, second.id]
-        assert jobs.users_of(MODEL.replace("0", "1")) == []
-
     def test_unfinished_jobs_borrow_a_checkpoint(self, jobs: JobStore) -> None:
         source = jobs.add(queued_job()).id
         resumed = queued_job(1, resume_from={"job": source, "step": 10})
@@ -470,6 +462,20 @@ class TestModels:
         assert (jobs.undispatched(), jobs.waiting()) == ([], [])
         jobs.models.delete(MODEL)
 
+    def test_one_that_unfinished_jobs_need_is_not_released(self, jobs: JobStore) -> None:
+        environment = {"id": "mjcf", "options": {"model": MODEL}}
+        first, second, ended = (queued_job(i, environment=environment) for i in range(3))
+        for file in (MODEL, other := MODEL.replace("0", "1")):
+            jobs.models.add(model(file))
+            jobs.models.claim(file, NOBODYS)
+        for job in (second, first, ended, queued_job(3)):
+            jobs.add(job)
+        jobs.save(cancelled(ended))
+        with pytest.raises(ModelInUse) as refused:
+            jobs.models.release(MODEL, ["default"])
+        assert refused.value.facts["jobs"] == [first.id, second.id]
+        assert jobs.models.release(other, ["default"])
+
     def test_all_are_listed_and_one_that_cannot_be_read_is_refused_alone(
         self, jobs: JobStore, database: Database
     ) -> None:
@@ -506,26 +512,18 @@ class TestClips:
         jobs.clips.dispatched(CLIPS)
         assert jobs.undispatched() == [Dispatch("model", MODEL)]
 
-    def test_unfinished_jobs_use_them(self, jobs: JobStore) -> None:
-        choices = [{"file": CLIPS}, {"file": CLIPS.replace("c", "d")}, {"file": CLIPS}]
-        job = queued_job(environment={"id": "ant", "options": {"reference": {"clips": choices}}})
-        for choice in choices:
-            jobs.clips.add(clip_file(choice["file"]))
-        jobs.add(job)
-        assert jobs.users_of(CLIPS) == jobs.users_of(CLIPS.replace("c", "d")) == [job.id]
-        assert jobs.users_of(CLIPS.replace("c", "e")) == []
-        jobs.save(cancelled(job))
-        assert jobs.users_of(CLIPS) == []
-
     def test_those_that_a_job_needs_are_not_released_and_those_that_are_gone_not_named(
         self, jobs: JobStore
     ) -> None:
-        environment = {"id": "ant", "options": {"reference": {"clips": [{"file": CLIPS}]}}}
-        jobs.clips.add(clip_file())
-        jobs.clips.claim(CLIPS, NOBODYS)
+        choices = [{"file": CLIPS}, {"file": CLIPS.replace("c", "d")}, {"file": CLIPS}]
+        environment = {"id": "ant", "options": {"reference": {"clips": choices}}}
+        for choice in choices:
+            jobs.clips.add(clip_file(choice["file"]))
+            jobs.clips.claim(choice["file"], NOBODYS)
         jobs.add(job := queued_job(environment=environment))
-        with pytest.raises(ClipsInUse, match=job.id):
-            jobs.clips.release(CLIPS, ["default"])
+        for choice in choices:
+            with pytest.raises(ClipsInUse, match=job.id):
+                jobs.clips.release(choice["file"], ["default"])
         assert not jobs.clips.release(CLIPS, ["another"])
         jobs.save(cancelled(job))
         assert jobs.clips.release(CLIPS, ["default"])

@@ -101,7 +101,6 @@ def calls(job: Job) -> Mapping[str, Call]:
         "chunks": lambda jobs: jobs.chunks([job.id]),
         "replace_chunk": lambda jobs: jobs.replace_chunk(job.id, CHUNK, CHUNK),
         "marks": lambda jobs: jobs.marks([job.id]),
-        "users_of": lambda jobs: jobs.users_of(MODEL),
         "jobs_needing_checkpoint_of": lambda jobs: jobs.jobs_needing_checkpoint_of(job.id),
         "retention": lambda jobs: jobs.retention("default"),
         "retentions": lambda jobs: jobs.retentions(),

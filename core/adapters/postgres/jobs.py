@@ -216,10 +216,6 @@ class JobQueries(Session):
             found = connection.execute(_MARKS_OF, {"ids": [*job_ids]}).all()
         return {row.id: Mark(row.version, row.num_events, row.num_logs) for row in found}
 
-    def users_of(self, upload_id: str) -> Sequence[str]:
-        with self._statements() as connection:
-            return connection.execute(rows.users_of(upload_id)).scalars().all()
-
     def jobs_needing_checkpoint_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
         with self._statements() as connection:
             return [(row.id, row.source_step) for row in connection.execute(borrowers_of(job_id))]
