@@ -8,18 +8,13 @@ FILE` where only a training's packages are installed.
 
 import argparse
 import json
-import sys
-import tempfile
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
+from bench.alone import run_alone
 from bench.child import ChildFailed, run_child
-from bench.machine import this_commit, this_machine
-from bench.summary import Figure, Run, middle, save, show
+from bench.summary import Figure, middle
 
 _CHILD = "bench.children.train_imitation"
 _TIMEOUT_S = {"gpu": 900.0, "cpu": 7200.0}
@@ -168,20 +163,9 @@ def _figures(what: str, answers: Sequence[Answer | str], arguments: argparse.Nam
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m bench.imitation", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="only show that the bench works")
-    parser.add_argument("--gpu", action="store_true", help="on the first GPU, not on all cores")
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="1: the cold run alone")
-    parser.add_argument("--out", type=Path, default=Path("bench/results"), metavar="DIR")
     add_arguments(parser)
-    arguments = parser.parse_args()
-    date, machine = datetime.now(UTC).date().isoformat(), this_machine()
-    with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
-        figures = list(measure(arguments, Path(folder)))
-    command = " ".join(["python -m bench.imitation", *sys.argv[1:]])
-    run = Run(command, date, this_commit(), machine, figures)
-    show("imitation", run, Console(width=140))
-    if not arguments.quick:
-        print(f"Kept in {save(arguments.out, 'imitation', run)}.")
+    run_alone("imitation", parser, measure)
 
 
 if __name__ == "__main__":

@@ -7,19 +7,14 @@ no service and no network: `python -m bench.robots --gpu` where only a training'
 
 import argparse
 import json
-import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
+from bench.alone import run_alone
 from bench.child import ChildFailed, run_child
-from bench.machine import this_commit, this_machine
-from bench.summary import Figure, Run, middle, save, show
+from bench.summary import Figure, middle
 
 _CHILD = "bench.children.train_robot"
 _TIMEOUT_S = 900.0
@@ -204,21 +199,10 @@ def _rate(training: Sequence[Sequence[float]]) -> float:
 def main() -> None:
     """The command line where a bench's other parts lack their packages."""
     parser = argparse.ArgumentParser(prog="python -m bench.robots", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="only show that the bench works")
-    parser.add_argument("--gpu", action="store_true", help="on the first GPU, not on all cores")
     parser.add_argument("--bodies", nargs="+", choices=list(ROBOTS), metavar="ROBOT", help="by default all")
     parser.add_argument("--seeds", type=int, default=5, metavar="N")
-    parser.add_argument("--out", type=Path, default=Path("bench/results"), metavar="DIR")
     add_arguments(parser)
-    arguments = parser.parse_args()
-    date, machine = datetime.now(UTC).date().isoformat(), this_machine()
-    with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
-        figures = list(measure(arguments, Path(folder)))
-    command = " ".join(["python -m bench.robots", *sys.argv[1:]])
-    run = Run(command, date, this_commit(), machine, figures)
-    show("robots", run, Console(width=140))
-    if not arguments.quick:
-        print(f"Kept in {save(arguments.out, 'robots', run)}.")
+    run_alone("robots", parser, measure)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from core.start_up import start_lean
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """built_at, policy_at, tested_at: the hours when the environment was built, the policy was trained, and
     its trial was over. training: [[steps, seconds of training until then], …]; steps; engine; all, by clip,
-    and of all unseen clips: see `Followed`; of C MuJoCo."""
+    and of all unseen clips: see `FollowingResult`; of C MuJoCo."""
     start_lean()  # As a job does.
     from core.algorithms.events import TrainingProgress
     from core.algorithms.following import followed, spread_over

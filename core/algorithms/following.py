@@ -22,7 +22,7 @@ _STEPS_PER_CALL = 50
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowingResult:
     """Episodes of a clip, or of all. reached: the share of the starts that came to the clip's end; close: of
     those that did so with small errors, in their episode's mean. The errors are means over the steps of all
     episodes, in m and rad: see `FollowedReference`."""
@@ -66,7 +66,7 @@ def followed(
     seed: int,
     close: tuple[float, float] = (0.1, 0.15),
     is_stopped: Callable[[], bool] = lambda: False,
-) -> tuple[Followed, dict[str, Followed], dict[str, ErrorsOverTime]]:
+) -> tuple[FollowingResult, dict[str, FollowingResult], dict[str, ErrorsOverTime]]:
     """The results of one episode from each of these rows: of all, and by the name of each clip, at last over
     that clip's time.
 
@@ -152,14 +152,14 @@ def _over_time(table: np.ndarray, joints: int) -> ErrorsOverTime:
     return ErrorsOverTime(means[:, :joints], means[:, joints:])
 
 
-def _result(totals: dict[str, np.ndarray], chosen: np.ndarray, close: tuple[float, float]) -> Followed:
+def _result(totals: dict[str, np.ndarray], chosen: np.ndarray, close: tuple[float, float]) -> FollowingResult:
     of_episodes = {name: values[chosen] for name, values in totals.items()}
     steps, reached = of_episodes["steps"], of_episodes["reached"] > 0
     errors = {name: float(of_episodes[name].sum() / max(steps.sum(), 1.0)) for name in _ERRORS}
     is_close = reached.copy()
     for name, most in zip(("root_error", "joint_error"), close, strict=True):
         is_close &= of_episodes[name] <= most * steps
-    return Followed(int(chosen.sum()), float(reached.mean()), float(is_close.mean()), **errors)
+    return FollowingResult(int(chosen.sum()), float(reached.mean()), float(is_close.mean()), **errors)
 
 
 def _playback(environment: TaskEnv) -> Playback:

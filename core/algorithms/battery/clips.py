@@ -18,7 +18,7 @@ from core.algorithms.battery.result import (
 )
 from core.algorithms.battery.run import on_the_cpu
 from core.algorithms.battery.spec import BatterySpec, battery_options
-from core.algorithms.following import BINS, ErrorsOverTime, Followed, followed
+from core.algorithms.following import BINS, ErrorsOverTime, FollowingResult, followed
 from core.algorithms.trained_policy import TrainedPolicy
 from core.environments.task import TaskEnv
 from core.environments.terms.task import TaskOptions
@@ -105,7 +105,7 @@ def _table(means: np.ndarray) -> Table:
     return [[None if np.isnan(one) else round(one, 5) for one in row] for row in means.tolist()]
 
 
-def _row(name: str, found: Followed) -> ClipResult:
+def _row(name: str, found: FollowingResult) -> ClipResult:
     return ClipResult(
         clip=name,
         episodes=found.starts,
