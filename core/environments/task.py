@@ -18,9 +18,8 @@ from core.environments.info import CRITIC_GROUP, POLICY_GROUP
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.environments.observation_group import ObservationGroup
 from core.environments.random_start import RandomStart
-from core.environments.reference.frames import chosen_clips, frames_of
 from core.environments.reference.parts import Parts, Record
-from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback
+from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback, servos_along
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times, history
@@ -29,10 +28,9 @@ from core.environments.terms.actions import (
     AnyAction,
     ControlAction,
     JointAction,
-    PositionPart,
     of_the_body,
 )
-from core.environments.terms.actuation import actuation, joint_names
+from core.environments.terms.actuation import actuation
 from core.environments.terms.binding import BoundTerm, bound
 from core.environments.terms.commands import CommandTerm, PositionCommand, VelocityCommand
 from core.environments.terms.describe import height_of, root_of
@@ -41,7 +39,7 @@ from core.environments.terms.followed import Followed
 from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.observations import ObservationTerm
-from core.environments.terms.reference import Adaptive, Reference, compared_bodies
+from core.environments.terms.reference import compared_bodies
 from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.task import (
@@ -137,10 +135,12 @@ class TaskEnv(MujocoEnv):
         if options.critic is not None:
             self._critic = ObservationGroup(CRITIC_GROUP, options.critic, named, dt, is_exact=True)
         self._is_scaled = not isinstance(options.action, ControlAction) or options.action.scaled
-        self._playback = _playback(options.reference, named, dt, settings.clips)
+        self._playback = None
+        if options.reference is not None:
+            self._playback = Playback.of(options.reference, named, dt, settings.clips)
         self._row: jax.Array | None = None
         self._record: Record | None = None
-        self._about_reference = _about_reference(options.action, model)
+        self._about_reference = servos_along(options.action, model)
         self._encoders = self._biased_servos(options.action, model)
         self._curve = TorqueSpeedCurve.of(model) if options.action.torque_speed_curve else None
         self._action_delays = whole_steps(options.action.delay, dt)
@@ -297,19 +297,13 @@ class TaskEnv(MujocoEnv):
     @property
     def clips(self) -> Sequence[FollowedClip]:
         """See `HasClips`."""
-        if self._playback is None:
-            return ()
-        frames = self._playback.frames
-        return [
-            FollowedClip(name, int(start), int(length))
-            for name, start, length in zip(frames.names, frames.starts, frames.lengths, strict=True)
-        ]
+        return () if self._playback is None else self._playback.clips
 
     def reference_positions(self, frames: np.ndarray) -> np.ndarray:
         """See `HasClips`."""
         if self._playback is None:
             raise ValueError("The task follows no reference.")
-        return np.asarray(self._playback.frames.frames.qpos)[frames]
+        return self._playback.positions(frames)
 
     @property
     def terrain_levels(self) -> TerrainGrid | None:
@@ -323,9 +317,7 @@ class TaskEnv(MujocoEnv):
     @property
     def adaptive_parts(self) -> Parts | None:
         """See `HasClipParts`."""
-        if self._playback is None or not isinstance(self._playback.parts.sampling, Adaptive):
-            return None
-        return self._playback.parts
+        return None if self._playback is None else self._playback.adaptive_parts
 
     def under_record(self, record: Record) -> "TaskEnv":
         there = copy.copy(self)
@@ -590,28 +582,6 @@ def _terrain(
         return None
     root = named.root_position
     return TerrainGrid(options.terrain, model, start[root : root + 2])
-
-
-def _playback(
-    reference: Reference | None, model: ModelIndex, control_step_s: float, files: Mapping[str, Path]
-) -> Playback | None:
-    if reference is None:
-        return None
-    clips = list(chosen_clips(reference.clips, files, 1.0 / control_step_s, model.model))
-    return Playback(reference, frames_of(clips, model.model, model.followed, model.pose), control_step_s)
-
-
-def _about_reference(action: AnyAction, model: mujoco.MjModel) -> np.ndarray:
-    """The servos whose targets are about the reference, and their joints' places in qpos, [2, n]."""
-    names = joint_names(model)
-    parts = (
-        [part for part in action.parts if isinstance(part, PositionPart)]
-        if isinstance(action, JointAction)
-        else []
-    )
-    along = [part for part in parts if part.about == "reference"]
-    servos = [number for number, name in enumerate(names) if any(part.drives(name) for part in along)]
-    return np.array([servos, model.jnt_qposadr[model.actuator_trnid[servos, 0]]], int).reshape(2, -1)
 
 
 def _default_reward() -> list[AnyReward]:
