@@ -19,7 +19,7 @@ from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled
 from core.environments.observation_group import ObservationGroup
 from core.environments.random_start import RandomStart
 from core.environments.reference.parts import Parts, Record
-from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback, servos_along
+from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times, history
@@ -137,10 +137,7 @@ class TaskEnv(MujocoEnv):
         self._is_scaled = not isinstance(options.action, ControlAction) or options.action.scaled
         self._playback = None
         if options.reference is not None:
-            self._playback = Playback.of(options.reference, named, dt, settings.clips)
-        self._row: jax.Array | None = None
-        self._record: Record | None = None
-        self._about_reference = servos_along(options.action, model)
+            self._playback = Playback.of(options.reference, options.action, named, dt, settings.clips)
         self._encoders = self._biased_servos(options.action, model)
         self._curve = TorqueSpeedCurve.of(model) if options.action.torque_speed_curve else None
         self._action_delays = whole_steps(options.action.delay, dt)
@@ -194,7 +191,7 @@ class TaskEnv(MujocoEnv):
         start = self._parts.position(physics, self.tracked_body) if "start" in self._memory else None
         step = Step(physics, physics, nothing, nothing, self.dt, jnp, start=start, control=nothing)
         info |= {} if start is None else {"start": start}
-        step = self._followed_by(self._grounded(step, info), info)
+        step = self._with_reference(self._grounded(step, info), info)
         if "previous_action" in self._memory:
             info["previous_action"] = nothing
         if self._is_random:
@@ -236,10 +233,7 @@ class TaskEnv(MujocoEnv):
         before = self._pushed(state.physics, info)
         arrived, entries = self._arrived(action, info)
         info |= entries
-        if self._controls is None:
-            control = self._moved_along(self._followed(self._control(arrived), info), info)
-        else:
-            control = jnp.float32(self._controls.measure(self._at(before, info), arrived))
+        control = self._controlled(before, arrived, info)
         physics = self._moved(before, control)
         carried = ("previous_action", "command", "target", "start")
         previous, command, target, start = (info.get(name) for name in carried)
@@ -248,7 +242,7 @@ class TaskEnv(MujocoEnv):
         )
         if self._playback is not None:
             info[FRAME] = info[FRAME] + 1
-        step = self._followed_by(self._grounded(step, info), info)
+        step = self._with_reference(self._grounded(step, info), info)
         if "previous_action" in self._memory:
             info["previous_action"] = action
         if "earlier_action" in self._memory:
@@ -301,9 +295,7 @@ class TaskEnv(MujocoEnv):
 
     def reference_positions(self, frames: np.ndarray) -> np.ndarray:
         """See `HasClips`."""
-        if self._playback is None:
-            raise ValueError("The task follows no reference.")
-        return self._playback.positions(frames)
+        return self._followed_playback.positions(frames)
 
     @property
     def terrain_levels(self) -> TerrainGrid | None:
@@ -321,12 +313,18 @@ class TaskEnv(MujocoEnv):
 
     def under_record(self, record: Record) -> "TaskEnv":
         there = copy.copy(self)
-        there._record = record
+        there._playback = self._followed_playback.under_record(record)
         return there
 
     @property
     def playback(self) -> Playback | None:
         """The reference's frames; None without a reference."""
+        return self._playback
+
+    @property
+    def _followed_playback(self) -> Playback:
+        if self._playback is None:
+            raise ValueError("The task follows no reference.")
         return self._playback
 
     @property
@@ -341,14 +339,14 @@ class TaskEnv(MujocoEnv):
         they are to be in a state, which has all of `FollowedReference`."""
         nothing, followed = jnp.zeros(self.action_size), self._parts.followed
         step = Step(state.physics, state.physics, nothing, nothing, self.dt, jnp)
-        step = self._followed_by(step, state.info)
+        step = self._with_reference(step, state.info)
         away = followed.offsets(step, followed.compared)
         return jnp.abs(followed.joint_offsets(step)), jnp.linalg.norm(away, axis=-1)
 
     def at_frame(self, row: jax.Array) -> "TaskEnv":
         """The environment whose episodes begin at this row [] int32 of the reference's frames."""
         there = copy.copy(self)
-        there._row = row
+        there._playback = self._followed_playback.at_frame(row)
         return there
 
     def _begun(
@@ -363,15 +361,13 @@ class TaskEnv(MujocoEnv):
 
     def _in_a_clip(self, playback: Playback, key: jax.Array) -> tuple["TaskEnv", dict[str, jax.Array]]:
         """The environment that begins at a moment of a clip, and entries of `info`."""
-        row = self._row
-        if row is None:
-            row = playback.start(jax.random.fold_in(key, _OF_THE_REFERENCE), self._record)
+        row = playback.start(jax.random.fold_in(key, _OF_THE_REFERENCE))
         there = copy.copy(self)
         qpos, there.initial_qvel = playback.state(row)
         there.initial_qpos = qpos + self._lift
         return there, {FRAME: row, FIRST_FRAME: row}
 
-    def _followed_by(self, step: Step, info: Mapping[str, jax.Array]) -> Step:
+    def _with_reference(self, step: Step, info: Mapping[str, jax.Array]) -> Step:
         """The step, with the reference after it."""
         if self._playback is None:
             return step
@@ -414,6 +410,15 @@ class TaskEnv(MujocoEnv):
             action = entries["smoothed_action"] = share * info["smoothed_action"] + (1.0 - share) * action
         return action, entries
 
+    def _controlled(
+        self, before: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
+    ) -> jax.Array:
+        """The controls [nu] for the action that the actuators get."""
+        if self._controls is not None:
+            return jnp.float32(self._controls.measure(self._at(before, info), action))
+        control = self._as_encoders_read(self._control(action), info)
+        return control if self._playback is None else self._playback.moved_along(control, info[FRAME] + 1)
+
     def _control(self, action: jax.Array) -> jax.Array:
         if self._actuation is None:
             return scaled_to_control(self.model, action) if self._is_scaled else action
@@ -432,20 +437,12 @@ class TaskEnv(MujocoEnv):
         biased = [(number, places[joints[number]]) for number in servos if joints[number] in places]
         return np.array(biased, int).reshape(-1, 2).T
 
-    def _followed(self, control: jax.Array, info: Mapping[str, jax.Array]) -> jax.Array:
+    def _as_encoders_read(self, control: jax.Array, info: Mapping[str, jax.Array]) -> jax.Array:
         """The controls of servos that hold what their encoders read at the target."""
         if self._encoders is None:
             return control
         servos, places = self._encoders
         return control.at[servos].add(-self._policy.bias(info)[places])
-
-    def _moved_along(self, control: jax.Array, info: Mapping[str, jax.Array]) -> jax.Array:
-        """The controls of servos whose targets are about the reference's joints after the step."""
-        if self._playback is None or not self._about_reference.size:
-            return control
-        servos, joints = self._about_reference
-        qpos, _ = self._playback.state(info[FRAME] + 1)
-        return control.at[servos].add(qpos[joints] - jnp.asarray(self._parts.pose, jnp.float32)[joints])
 
     def _moved(self, before: PhysicsState, control: jax.Array) -> PhysicsState:
         """The physics after the control, with the motors' torques that are left at this speed."""

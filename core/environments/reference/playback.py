@@ -1,5 +1,8 @@
-"""A reference while episodes run: which frame each environment is at, and what its terms see of that."""
+"""The part of a task that follows a reference: where its episodes begin in the clips, which frame each is at,
+what its terms see of that, and which servos' targets move along.
+"""
 
+import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,9 +24,24 @@ FRAME, FIRST_FRAME = "reference_frame", "reference_first_frame"
 
 
 class Playback:
-    """The frames of all clips, along which an episode moves by one in each control step."""
+    """The frames of all clips, along which an episode moves by one in each control step.
 
-    def __init__(self, reference: Reference, frames: Frames, control_step_s: float) -> None:
+    servos: those whose targets are about the joints of the frame after a step, with their joints' places in
+    qpos, [2, n]. pose: [nq], the positions that these targets are about until they are moved.
+    """
+
+    def __init__(
+        self,
+        reference: Reference,
+        frames: Frames,
+        control_step_s: float,
+        *,
+        servos: np.ndarray,
+        pose: np.ndarray,
+    ) -> None:
+        self._row: jax.Array | None = None
+        self._record: Record | None = None
+        self._servos, self._pose = servos, pose
         self._random_phase = reference.random_phase
         self._ahead = np.array(reference.ahead.steps(control_step_s), np.int32)
         self._rows = frames.frames
@@ -35,34 +53,55 @@ class Playback:
 
     @classmethod
     def of(
-        cls, reference: Reference, model: ModelIndex, control_step_s: float, files: Mapping[str, Path]
+        cls,
+        reference: Reference,
+        action: AnyAction,
+        model: ModelIndex,
+        control_step_s: float,
+        files: Mapping[str, Path],
     ) -> "Playback":
+        """The playback of a task. files: of clips, by their ids."""
         clips = list(chosen_clips(reference.clips, files, 1.0 / control_step_s, model.model))
-        return cls(reference, frames_of(clips, model.model, model.followed, model.pose), control_step_s)
+        frames = frames_of(clips, model.model, model.followed, model.pose)
+        servos = _servos_along(action, model.model)
+        return cls(reference, frames, control_step_s, servos=servos, pose=model.pose)
 
     @property
     def clips(self) -> Sequence[FollowedClip]:
         """See `HasClips`."""
+        frames = self.frames
         return [
             FollowedClip(name, int(start), int(length))
-            for name, start, length in zip(
-                self.frames.names, self.frames.starts, self.frames.lengths, strict=True
-            )
+            for name, start, length in zip(frames.names, frames.starts, frames.lengths, strict=True)
         ]
 
     def positions(self, frames: np.ndarray) -> np.ndarray:
         """See `HasClips`."""
-        return np.asarray(self.frames.frames.qpos)[frames]
+        return np.asarray(self._rows.qpos)[frames]
 
     @property
     def adaptive_parts(self) -> Parts | None:
         """See `HasClipParts`."""
         return self.parts if isinstance(self.parts.sampling, Adaptive) else None
 
-    def start(self, key: jax.Array, record: Record | None) -> jax.Array:
+    def under_record(self, record: Record) -> "Playback":
+        """See `HasClipParts`."""
+        there = copy.copy(self)
+        there._record = record
+        return there
+
+    def at_frame(self, row: jax.Array) -> "Playback":
+        """The playback whose episodes begin at this row [] int32 of the frames."""
+        there = copy.copy(self)
+        there._row = row
+        return there
+
+    def start(self, key: jax.Array) -> jax.Array:
         """The row [] int32 at which an episode begins."""
+        if self._row is not None:
+            return self._row
         key, phase_key = jax.random.split(key)
-        row = self.parts.draw(key, record)
+        row = self.parts.draw(key, self._record)
         if self._random_phase == 1.0:
             return row
         is_random = jax.random.uniform(phase_key) < self._random_phase
@@ -79,6 +118,14 @@ class Playback:
         way = jnp.maximum(last - first, 1).astype(jnp.float32)
         return Following(self._at(row), self._at(ahead), 1.0 / way)
 
+    def moved_along(self, control: jax.Array, row: jax.Array) -> jax.Array:
+        """The controls [nu], with the targets of servos about the joints of this row."""
+        if not self._servos.size:
+            return control
+        servos, joints = self._servos
+        qpos, _ = self.state(row)
+        return control.at[servos].add(qpos[joints] - jnp.asarray(self._pose, jnp.float32)[joints])
+
     def is_over(self, row: jax.Array) -> jax.Array:
         """1 where the row is its clip's last one, otherwise 0; []."""
         return jnp.where(row >= jnp.asarray(self._last)[row], 1.0, 0.0)
@@ -87,14 +134,11 @@ class Playback:
         return Frame(*(jnp.asarray(values)[rows] for values in self._rows))
 
 
-def servos_along(action: AnyAction, model: mujoco.MjModel) -> np.ndarray:
+def _servos_along(action: AnyAction, model: mujoco.MjModel) -> np.ndarray:
     """The servos whose targets are about the reference, and their joints' places in qpos, [2, n]."""
-    names = joint_names(model)
-    parts = (
-        [part for part in action.parts if isinstance(part, PositionPart)]
-        if isinstance(action, JointAction)
-        else []
-    )
-    along = [part for part in parts if part.about == "reference"]
-    servos = [number for number, name in enumerate(names) if any(part.drives(name) for part in along)]
+    parts = action.parts if isinstance(action, JointAction) else ()
+    along = [part for part in parts if isinstance(part, PositionPart) and part.about == "reference"]
+    servos = [
+        number for number, name in enumerate(joint_names(model)) if any(part.drives(name) for part in along)
+    ]
     return np.array([servos, model.jnt_qposadr[model.actuator_trnid[servos, 0]]], int).reshape(2, -1)

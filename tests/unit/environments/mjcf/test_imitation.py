@@ -180,7 +180,7 @@ def test_the_way_ahead_is_seen_in_the_roots_frame(tmp_path: Path) -> None:
     state = environment.at_frame(jnp.int32(4)).reset(KEY)
     quarter = state.physics.qpos.at[3:7].set(jnp.array([0.5**0.5, 0, 0, 0.5**0.5]))
     seen = environment._after(
-        environment._followed_by(
+        environment._with_reference(
             replace(environment._at(replace(state.physics, qpos=quarter), state.info)), state.info
         ),
         state.info,
