@@ -19,6 +19,32 @@ NumTimesteps = Annotated[
     ),
 ]
 NumEnvs = Annotated[int, Field(ge=1, le=2**20, description="Environments that run side by side.")]
+EpisodeLength = Annotated[
+    int,
+    Field(
+        ge=1, le=10**6, description="Steps after which an episode is cut off, rounded up to whole actions."
+    ),
+]
+ResetPoolSize = Annotated[
+    int,
+    Field(
+        ge=0,
+        le=2**16,
+        description="Fresh initial states drawn per update; each episode that begins in it starts from a "
+        "random one of them. 0: every environment returns to its own first state, as in Brax.",
+    ),
+]
+NormalizeObservations = Annotated[
+    bool, Field(description="Normalise the networks' observations to mean 0 and deviation 1.")
+]
+NormalizeObservationsMaxAbsValue = Annotated[
+    float | None,
+    Field(
+        gt=0,
+        le=1e6,
+        description="Bound on normalised observations, in standard deviations. null: no bound, as in Brax.",
+    ),
+]
 NumEvals = Annotated[
     int, Field(ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end.")
 ]

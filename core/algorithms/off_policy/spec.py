@@ -11,10 +11,14 @@ from core.algorithms.memory import FLOAT_BYTES, MemoryPart, shown
 from core.algorithms.ppo.spec import Activation
 from core.algorithms.spec import (
     BaseSpec,
+    EpisodeLength,
+    NormalizeObservations,
+    NormalizeObservationsMaxAbsValue,
     NumEnvs,
     NumEvalEnvs,
     NumEvals,
     NumTimesteps,
+    ResetPoolSize,
     check_curriculum,
     rejected,
 )
@@ -34,12 +38,7 @@ class OffPolicySpec(BaseSpec):
 
     num_timesteps: NumTimesteps = 2_000_000
     num_envs: NumEnvs = 128
-    episode_length: int = Field(
-        default=1000,
-        ge=1,
-        le=10**6,
-        description="Steps after which an episode is cut off, rounded up to whole actions.",
-    )
+    episode_length: EpisodeLength = 1000
     action_repeat: int = Field(
         default=1,
         ge=1,
@@ -47,13 +46,7 @@ class OffPolicySpec(BaseSpec):
         description="Environment steps per action; their rewards are summed. All step counts are in "
         "environment steps, except unroll_length and n_step.",
     )
-    reset_pool_size: int = Field(
-        default=128,
-        ge=0,
-        le=2**16,
-        description="Fresh initial states drawn per update; each episode that begins in it starts from a "
-        "random one of them. 0: every environment returns to its own first state, as in Brax.",
-    )
+    reset_pool_size: ResetPoolSize = 128
     unroll_length: int = Field(
         default=8, ge=1, le=10_000, description="Actions of each environment from one learning to the next."
     )
@@ -79,15 +72,8 @@ class OffPolicySpec(BaseSpec):
     tau: float = Field(
         default=0.02, gt=0, le=1, description="How far the target networks follow in a gradient step."
     )
-    normalize_observations: bool = Field(
-        default=True, description="Normalise the networks' observations to mean 0 and deviation 1."
-    )
-    normalize_observations_max_abs_value: float | None = Field(
-        default=None,
-        gt=0,
-        le=1e6,
-        description="Bound on normalised observations, in standard deviations. null: no bound, as in Brax.",
-    )
+    normalize_observations: NormalizeObservations = True
+    normalize_observations_max_abs_value: NormalizeObservationsMaxAbsValue = None
     num_evals: NumEvals = 10
     num_eval_envs: NumEvalEnvs = 16
     activation: Activation = Field(

@@ -11,7 +11,18 @@ from pydantic import Field
 from core.algorithms.layers import intention, plain
 from core.algorithms.memory import FLOAT_BYTES, MemoryNeed, MemoryPart, perceptron
 from core.algorithms.ppo.network_spec import IntentionNetwork, LayerSizes
-from core.algorithms.spec import BaseSpec, NumEnvs, NumEvalEnvs, NumEvals, NumTimesteps, check_curriculum
+from core.algorithms.spec import (
+    BaseSpec,
+    EpisodeLength,
+    NormalizeObservations,
+    NormalizeObservationsMaxAbsValue,
+    NumEnvs,
+    NumEvalEnvs,
+    NumEvals,
+    NumTimesteps,
+    ResetPoolSize,
+    check_curriculum,
+)
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP, Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
@@ -63,12 +74,7 @@ class PPOSpec(BaseSpec):
     kind: Literal["ppo"] = "ppo"
     num_timesteps: NumTimesteps = 3_000_000
     num_envs: NumEnvs = 256
-    episode_length: int = Field(
-        default=1000,
-        ge=1,
-        le=10**6,
-        description="Steps after which an episode is cut off, rounded up to whole actions.",
-    )
+    episode_length: EpisodeLength = 1000
     action_repeat: int = Field(
         default=1,
         ge=1,
@@ -81,13 +87,7 @@ class PPOSpec(BaseSpec):
         description="Start each environment's first episode with a random step count, so that episodes are "
         "not all cut off at the same step, then or later (RSL-RL's init_at_random_ep_len).",
     )
-    reset_pool_size: int = Field(
-        default=128,
-        ge=0,
-        le=2**16,
-        description="Fresh initial states drawn per update; each episode that begins in it starts from a "
-        "random one of them. 0: every environment returns to its own first state, as in Brax.",
-    )
+    reset_pool_size: ResetPoolSize = 128
     unroll_length: int = Field(
         default=10,
         ge=1,
@@ -139,15 +139,8 @@ class PPOSpec(BaseSpec):
         description="Learn from the step that cuts an episode off, with its observation's value in place of "
         "what would have followed. false: leave that step out.",
     )
-    normalize_observations: bool = Field(
-        default=True, description="Normalise the networks' observations to mean 0 and deviation 1."
-    )
-    normalize_observations_max_abs_value: float | None = Field(
-        default=None,
-        gt=0,
-        le=1e6,
-        description="Bound on normalised observations, in standard deviations. null: no bound, as in Brax.",
-    )
+    normalize_observations: NormalizeObservations = True
+    normalize_observations_max_abs_value: NormalizeObservationsMaxAbsValue = None
     normalize_advantage: bool = True
     num_evals: NumEvals = 10
     num_eval_envs: NumEvalEnvs = 16
