@@ -15,17 +15,20 @@ from core.environments.reference.playback import FRAME, Playback
 from core.environments.task import TaskEnv
 
 _ERRORS = ("root_error", "root_turn_error", "joint_error", "body_error")
-# Equal parts of a clip's time, of which each has its own mean errors; of a short clip fewer.
+# The equal parts of a clip's time that have mean errors of their own; a short clip has fewer.
 BINS = 50
-# Steps between two looks at whether an episode still runs.
+# Steps in a call of the compiled program; between two calls a run may stop.
 _STEPS_PER_CALL = 50
 
 
 @dataclass(frozen=True)
 class FollowingResult:
-    """Episodes of a clip, or of all. reached: the share of the starts that came to the clip's end; close: of
-    those that did so with small errors, in their episode's mean. The errors are means over the steps of all
-    episodes, in m and rad: see `FollowedReference`."""
+    """How episodes followed one clip, or all clips.
+
+    starts: how many episodes there were. reached: the share of them that came to the clip's end. close: the
+    share that came there with small mean errors. The errors are means over the steps of all episodes, in m
+    and rad: see `FollowedReference`.
+    """
 
     starts: int
     reached: float
@@ -67,15 +70,13 @@ def followed(
     close: tuple[float, float] = (0.1, 0.15),
     is_stopped: Callable[[], bool] = lambda: False,
 ) -> tuple[FollowingResult, dict[str, FollowingResult], dict[str, ErrorsOverTime]]:
-    """The results of one episode from each of these rows: of all, and by the name of each clip, at last over
-    that clip's time.
+    """Run one episode from each of these rows; return the result of all, the result of each clip by its name,
+    and each clip's errors over its time by its name.
 
-    close: up to which errors of the root, in m, and of the joints, in rad, an episode counts as close.
-
-    is_stopped: asked again and again; once it is true, the episodes end where they are.
-
-    environment: of the engine `native`, whose metrics have the term `followed_reference`. policy: one that is
-    deterministic.
+    environment: of the engine `native`, whose metrics have the term `followed_reference`. policy: a
+    deterministic one. rows: of the reference's frames. close: the largest mean errors of the root, in m, and
+    of the joints, in rad, of an episode that counts as close. is_stopped: asked every few steps; once it is
+    true, the episodes end where they are.
     """
     frames = _playback(environment).frames
     with on_the_cpu():
@@ -105,7 +106,8 @@ def followed(
 
 
 def _programs(environment: TaskEnv, policy: TrainedPolicy) -> tuple[Any, Any]:
-    """Compiled: from keys and rows to states; and from parameters and what runs to that after some steps."""
+    """The compiled functions `begin`, (keys, rows) -> states, and `advance`, (parameters, what runs) -> what
+    runs some steps later."""
     acted, act = policy.acting(environment)
     # No step comes to a clip's first frame.
     places = [
