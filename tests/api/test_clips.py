@@ -14,6 +14,7 @@ from typing import Any
 import httpx
 import mujoco
 import pytest
+from typer.testing import CliRunner
 
 from api import uploads as route
 from core.clips.record import (
@@ -32,6 +33,7 @@ from core.jobs.store import JobQuery
 from core.reasons import Reason
 from core.storage import keys
 from core.uploads import library
+from gaitway.cli.main import app
 from tests.api import test_models
 from tests.api.conftest import Attempt, Stack
 from tests.api.problems import problem
@@ -273,6 +275,18 @@ def test_clips_that_are_not_validated_yet_are_refused(stack: Stack, monkeypatch:
         stack.http.post("/jobs", json=job({"file": answer.json()["id"]})), 422, "invalid-request"
     )
     assert "still being validated" in document["detail"]
+
+
+def test_clips_that_are_being_read_say_how_far_that_is(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(route, "_TIMEOUT_S", 0.01)
+    monkeypatch.setenv("GAITWAY_URL", str(stack.http.base_url))
+    clips = send(stack.http).json()["id"]
+    said = "Fitting frame 1,200 of 30,000."
+    stack.store.clips.settle(replaced(stack.store.clips.find(clips), message=said))
+    document = stack.http.get(f"/clips/{clips}").json()
+    assert (document["status"], document["message"]) == ("validating", said)
+    assert said in CliRunner().invoke(app, ["clips", "show", clips]).stdout
+    assert said in CliRunner().invoke(app, ["clips", "list"]).stdout
 
 
 def test_they_go_along_in_an_export_and_come_back_where_they_are(stack: Stack, clips: str) -> None:

@@ -40,6 +40,18 @@ def test_a_body_trains_to_follow_clips_that_were_sent(client: Client, tmp_path: 
         client.delete_clips(clips.id)
     job = client.wait(job.id, timeout=280)
     assert job.succeeded, job.message
+    # Two clips have more parts to count failures in than one.
+    again = client.submit(
+        environment={"id": "mjcf", "options": {**options, "reference": {"clips": [{"file": clips.id}]}}},
+        algorithm={**ALGORITHM, "num_timesteps": 2560},
+        resume_from={"job": job.id},
+        video=None,
+    )
+    again = client.wait(again.id, timeout=280)
+    assert again.succeeded, again.message
+    assert again.attempts[-1].details["resumed_at_step"] == 1280
+    notes = [event.data.get("text", "") for event in client.events(again.id) if event.kind == "note"]
+    assert any("of a job with other clips" in note for note in notes)
     client.delete_clips(clips.id)
     with pytest.raises(Rejected, match="There are no clips"):
         client.submit(environment=environment, algorithm=ALGORITHM)
