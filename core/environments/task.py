@@ -365,6 +365,8 @@ class TaskEnv(MujocoEnv):
         there = copy.copy(self)
         qpos, there.initial_qvel = playback.state(row)
         there.initial_qpos = qpos + self._lift
+        if (activations := playback.activations(row)) is not None:
+            there.initial_act = activations
         return there, {FRAME: row, FIRST_FRAME: row}
 
     def _with_reference(self, step: Step, info: Mapping[str, jax.Array]) -> Step:

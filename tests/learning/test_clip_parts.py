@@ -33,6 +33,7 @@ def parts(*lengths: int, weights: tuple[float, ...] = (), sampling: Any = None) 
     """Of clips of this many frames, 0.1 s apart."""
     frames = Frames(
         Frame(*[np.zeros((sum(lengths), 1))] * 6),
+        np.zeros((sum(lengths), 0)),
         [f"clip {number}" for number in range(len(lengths))],
         np.array(weights or [1.0] * len(lengths)),
         np.concatenate([[0], np.cumsum(lengths)[:-1]]),

@@ -10,7 +10,6 @@ from core.environments.terms.imitating import (
     IMITATE,
     OBSERVATION,
     check_task,
-    ends,
     imitating_reward,
 )
 from core.environments.terms.lent import LENT_DECODER, LentDecoder, behind
@@ -20,7 +19,7 @@ from core.environments.terms.page import noisy, page, survival
 from core.environments.terms.reference import Reference
 from core.environments.terms.rewards import ControlCost, ForwardVelocity
 from core.environments.terms.task import TaskOptions
-from core.environments.terms.terminations import OutsideHeightRange
+from core.environments.terms.terminations import FarFromReference, OutsideHeightRange
 from core.physics.availability import Rule
 
 
@@ -65,7 +64,7 @@ def _imitating(options: HumanoidOptions) -> TaskOptions:
         reference=options.reference,
         reward=imitating_reward(),
         observation=OBSERVATION,
-        termination=[ends()],
+        termination=[FarFromReference()],
         reset=noisy(options.reset_noise_scale),
         n_frames=5,
     )

@@ -24,11 +24,13 @@ from core.reasons import Reason
 class Frames:
     """The frames of all clips, one clip after the other.
 
-    frames: rows [N, …]. names, weights, starts, lengths: of the clips; no two names are the same, starts are
-    rows, lengths counted in frames, at least two each.
+    frames: rows [N, …]. activations: [N, na], the states of actuators with which an episode begins there.
+    names, weights, starts, lengths: of the clips; no two names are the same, starts are rows, lengths counted
+    in frames, at least two each.
     """
 
     frames: Frame
+    activations: np.ndarray
     names: Sequence[str]
     weights: np.ndarray
     starts: np.ndarray
@@ -51,6 +53,7 @@ def frames_of(
     lengths = np.array([len(part.qpos) for part in parts])
     return Frames(
         frames=Frame(*(np.concatenate(rows).astype(np.float32) for rows in zip(*parts, strict=True))),
+        activations=np.concatenate([_at_rest(part.qpos, model) for part in parts]).astype(np.float32),
         names=distinct([one.name for one, _ in chosen]),
         weights=np.array([weight for _, weight in chosen]),
         starts=np.concatenate([[0], np.cumsum(lengths)[:-1]]),
@@ -114,6 +117,28 @@ def _frames(clip: Clip, model: mujoco.MjModel, followed: Followed, pose: np.ndar
         derived = {"cvel": data.cvel, "xpos": data.xpos, "subtree_com": data.subtree_com}
         rows.append((data.xpos[bodies], data.xquat[bodies], *followed.velocities(derived, np)))
     return Frame(qpos, qvel, *(np.stack(parts) for parts in zip(*rows, strict=True)))
+
+
+def _at_rest(qpos: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
+    """States of actuators [T, na] in which position servos that follow their control slowly exert no force at
+    qpos [T, nq]; 0 of all others. Recordings lack them, and from 0 such servos pull towards their own zeros.
+    """
+    first, gain, bias = model.actuator_actadr, model.actuator_gainprm[:, 0], model.actuator_biasprm
+    is_servo = (first >= 0) & (model.actuator_actnum == 1) & (gain != 0)
+    is_servo &= np.isin(model.actuator_dyntype, [mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT])
+    is_servo &= model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
+    is_servo &= model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
+    [servos] = np.nonzero(is_servo)
+    low, high = model.actuator_ctrlrange[servos].T
+    limited = model.actuator_ctrllimited[servos] == 1
+    low, high = np.where(limited, low, -np.inf), np.where(limited, high, np.inf)
+    data, activations = mujoco.MjData(model), np.zeros((len(qpos), model.na))
+    for positions, row in zip(qpos, activations, strict=True):
+        data.qpos[:] = positions
+        mujoco.mj_fwdPosition(model, data)
+        force = bias[servos, 0] + bias[servos, 1] * data.actuator_length[servos]
+        row[first[servos]] = np.clip(-force / gain[servos], low, high)
+    return activations
 
 
 def _states(

@@ -111,6 +111,11 @@ class Playback:
         """Positions [nq] and velocities [nv] of a row."""
         return jnp.asarray(self._rows.qpos)[row], jnp.asarray(self._rows.qvel)[row]
 
+    def activations(self, row: jax.Array) -> jax.Array | None:
+        """The states of actuators [na] at a row; None where those of all rows are 0."""
+        known = self.frames.activations
+        return jnp.asarray(known)[row] if known.any() else None
+
     def following(self, row: jax.Array, first: jax.Array) -> Following:
         """The reference in the step that came to a row, of an episode that began at the row `first`."""
         last = jnp.asarray(self._last)[row]

@@ -11,7 +11,7 @@ from core.environments.mjcf.edit_options import HOME
 from core.environments.terms.actions import JointPositionAction
 from core.environments.terms.commands import Push, VelocityCommand
 from core.environments.terms.imitating import OBSERVATION as OF_A_REFERENCE
-from core.environments.terms.imitating import ends, imitating_reward
+from core.environments.terms.imitating import imitating_reward
 from core.environments.terms.locomotion import (
     BaseAngularVelocity,
     BaseHeight,
@@ -29,6 +29,7 @@ from core.environments.terms.starts import Fallen
 from core.environments.terms.task import Reset
 from core.environments.terms.terminations import (
     AnyTermination,
+    FarFromReference,
     NotUpright,
     OutsideHeightRange,
 )
@@ -113,7 +114,7 @@ def imitate(scale: float) -> Mapping[str, Any]:
         "gait": None,
         "action": JointPositionAction(about="reference", scale=scale),
         "reset": Reset(keyframe=HOME, position_noise=0.02, velocity_noise=0.2),
-        "termination": [ends()],
+        "termination": [FarFromReference()],
         "observation": OF_A_REFERENCE,
         "reward": [*imitating_reward(), JointLimits(weight=2.0, share=0.95)],
     }

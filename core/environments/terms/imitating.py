@@ -1,5 +1,7 @@
 """What bodies that imitate see and earn: those of the catalog, and users' own to begin with."""
 
+from collections.abc import Sequence
+
 from pydantic import BaseModel
 
 from core.environments.terms.imitation import (
@@ -23,7 +25,6 @@ from core.environments.terms.locomotion import (
 from core.environments.terms.observations import PreviousAction
 from core.environments.terms.reference import Reference
 from core.environments.terms.rewards import ActionRate
-from core.environments.terms.terminations import FarFromReference
 from core.environments.terms.vocabulary import AnyObservation, AnyReward
 from core.patterns import Patterns
 
@@ -61,20 +62,13 @@ def check_task(options: BaseModel, task: str, reference: Reference | None, *unre
         raise ValueError(f"{named} {verb} not read by the task {IMITATE}: leave {it} out")
 
 
-def ends(size: float = 1.0) -> FarFromReference:
-    """When an episode has lost the reference. size: the body's, as a share of a human's."""
-    return FarFromReference(
-        root_position=0.5 * size, anchor_height=0.25 * size, end_effector_height=0.25 * size
-    )
-
-
 def imitating_reward(
-    size: float = 1.0, joints: Patterns | None = None, root: TrackRootPosition | None = None
+    size: float = 1.0, joints: Patterns | None = None, root: Sequence[TrackRootPosition] = ()
 ) -> list[AnyReward]:
     """The reward's terms. size: the body's, as a share of a human's. joints: those that are compared; None:
-    all. root: the term of the root's position; None: one whose tolerance is proportional to the size."""
+    all. root: the terms of the root's position; none: one whose tolerance is proportional to the size."""
     return [
-        root or TrackRootPosition(weight=1.0, tolerance=0.3 * size),
+        *(root or [TrackRootPosition(weight=1.0, tolerance=0.3 * size)]),
         TrackRootOrientation(weight=0.5),
         TrackJoints(weight=1.0, joints=joints),
         TrackJointVelocities(weight=0.5, joints=joints),

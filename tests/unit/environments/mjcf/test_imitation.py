@@ -71,7 +71,7 @@ def follower(
     file, model = folder / "clips.npz", folder / "model"
     engine: EngineName = given.pop("engine", "native")
     file.write_bytes(to_bytes(clips))
-    model.write_bytes(XML)
+    model.write_bytes(given.pop("xml", XML))
     info = catalog.find("mjcf")
     following = {"clips": [{"file": FILE}], **(reference or {})}
     given = {"reward": [{"kind": "track_joints"}], **given}
@@ -123,6 +123,19 @@ def test_an_episode_begins_exactly_where_the_clip_is(tmp_path: Path) -> None:
         qpos = np.array([0.01 * row, 0, 0.5, 1, 0, 0, 0, 0.005 * row], np.float32)
         np.testing.assert_allclose(state.physics.qpos, qpos, atol=1e-7)
         np.testing.assert_allclose(state.physics.qvel, [1, 0, 0, 0, 0, 0, 0.5], atol=1e-5)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_slow_servo_begins_without_a_pull(engine: EngineName, tmp_path: Path) -> None:
+    motor = XML[XML.index(b"<motor") : XML.index(b"</actuator>")]
+    servo = b"""<general name="elbow" joint="elbow" gear="2" dyntype="filter" dynprm="0.1" gainprm="3"
+      biastype="affine" biasprm="0.3 -0.5 0" ctrllimited="true" ctrlrange="-0.095 1"/>"""
+    environment = follower(tmp_path, xml=XML.replace(motor, servo), engine=engine)
+    # Its force 3 a + 0.3 - 0.5 · 2 q is 0 for a = (q - 0.3) / 3, where q = 0.005 rad in each row; that of the
+    # first row, -0.1, is beyond its range.
+    for row, activation in ((0, -0.095), (6, -0.09), (8, (0.04 - 0.3) / 3)):
+        state = environment.at_frame(jnp.int32(row)).reset(KEY)
+        np.testing.assert_allclose(state.physics.act, [activation], atol=1e-6)
 
 
 def test_what_follows_exactly_earns_all_of_every_term(tmp_path: Path) -> None:
