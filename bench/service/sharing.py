@@ -1,6 +1,7 @@
-"""Small trainings that share a GPU, and, on a machine with two, one beside them that has the other GPU alone.
+"""Small trainings that share a GPU, against one that has a GPU alone.
 
-The first of its kind has a GPU alone and is measured. Then two such share a GPU while a third has the other.
+The first of its kind has a GPU alone, and its memory is measured. Then two such share a GPU. A third has the
+other GPU alone at the same time, or, on a machine with one GPU, that one before them.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from bench.summary import Figure
 from worker.host.device import visible_gpus
 
 _SETTINGS = {"kind": "ppo", "num_envs": 512, "num_evals": 2}
-_FIRST_STEPS, _LASTS_S = 2_000_000, 60.0
+_FIRST_STEPS, _LASTS_S = 20_000_000, 60.0
 _SEATS, _TIMEOUT_S = 2, 900.0  # On each GPU.
 
 
@@ -35,24 +36,21 @@ def measure(arguments: argparse.Namespace) -> Iterator[Figure]:
     ):
         until(lambda: _num_ready(http) == _SEATS * gpus, _TIMEOUT_S)
         (first,) = _run(http, [_job(_FIRST_STEPS, share_gpu=True)])
-        alone = _rate(first)
-        steps = int(alone * (5.0 if arguments.quick else _LASTS_S))
-        beside = [_job(steps, gpus=1)] * (gpus - 1)
-        one, two, *others = _run(http, [_job(steps, share_gpu=True), _job(steps, share_gpu=True), *beside])
+        steps = int(_rate(first) * (5.0 if arguments.quick else _LASTS_S))
+        sharing, alone = [_job(steps, share_gpu=True)] * 2, [_job(steps, gpus=1)]
+        others = _run(http, alone) if gpus == 1 else []
+        one, two, *beside = _run(http, sharing if gpus == 1 else sharing + alone)
     both = _overlap_s(one, two) / max(_seconds(one), _seconds(two))
     yield Figure("sharing: memory of one training at most", _attempt(first)["peak_bytes"] / 1e9, "GB")
     yield Figure("sharing: part of the GPU's memory for each", 100 * _attempt(one)["gpu_part"], "%")
-    is_shared = _where(one) == _where(two) and all(_where(one) != _where(other) for other in others)
+    is_shared = _where(one) == _where(two) and all(_where(one) != _where(other) for other in beside)
     yield Figure("sharing: both on one GPU, and no other job there", float(is_shared), at_least=1)
     yield Figure("sharing: of their time both ran", 100 * both, "%")
-    yield Figure("sharing: one alone", alone / 1e3, "thousand steps/s")
-    for other in others:
-        yield Figure(
-            "sharing: alone, beside the two on the other GPU", _rate(other) / 1e3, "thousand steps/s"
-        )
+    [lone] = others or beside
+    yield Figure("sharing: one alone", _rate(lone) / 1e3, "thousand steps/s")
     together = _rate(one) + _rate(two)
     yield Figure("sharing: the two together", together / 1e3, "thousand steps/s")
-    yield Figure("sharing: two that share, against two in turn", together / alone, "times", at_least=1)
+    yield Figure("sharing: two that share, against two in turn", together / _rate(lone), "times", at_least=1)
 
 
 @contextmanager
