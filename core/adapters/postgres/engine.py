@@ -11,7 +11,7 @@ import psycopg
 from psycopg import errors
 from psycopg.conninfo import conninfo_to_dict
 from psycopg.rows import dict_row
-from sqlalchemy import ClauseElement, Connection, Engine, create_engine, event
+from sqlalchemy import URL, ClauseElement, Connection, Engine, create_engine, event
 from sqlalchemy.dialects.postgresql.psycopg import PGDialect_psycopg
 from sqlalchemy.exc import InvalidatePoolError
 from sqlalchemy.pool import ConnectionPoolEntry, NullPool, QueuePool
@@ -81,11 +81,13 @@ def connect_postgres(url: str, *, pool_size: int = 10) -> Engine:
         # In a database without an encoding (SQL_ASCII), text would come back as bytes otherwise.
         return PromptConnection.connect(url, connect_timeout=2, options=_OPTIONS, client_encoding="UTF8")
 
+    # In each new process, to read an address as text would take milliseconds, and to ask for hstore a trip.
+    driver, options = URL.create("postgresql+psycopg"), {"creator": connect, "use_native_hstore": False}
     if pool_size == 0:
-        return create_engine("postgresql+psycopg://", creator=connect, poolclass=NullPool)
+        return create_engine(driver, **options, poolclass=NullPool)
     engine = create_engine(
-        "postgresql+psycopg://",
-        creator=connect,
+        driver,
+        **options,
         poolclass=_Pool,
         pool_size=pool_size,
         max_overflow=2 * pool_size,
@@ -126,7 +128,8 @@ def _refuse_closed(connection: PromptConnection, record: ConnectionPoolEntry, _:
 class DriverStatement:
     """A statement that is compiled where it is made, and that the driver runs without SQLAlchemy.
 
-    For what a process does once, as a claim does: to compile its statements took most of its time.
+    For what a process does once, as it claims a job and ends it: to compile its statements took most of the
+    time.
     """
 
     # Parameters are numbered, as PostgreSQL has them, so that the driver does not look for them.
@@ -134,7 +137,7 @@ class DriverStatement:
 
     def __init__(self, statement: ClauseElement, settings: str | None = None) -> None:
         """settings: a statement that goes before it, in the same round trip and the same transaction."""
-        compiled: Any = statement.compile(dialect=self._DIALECT)
+        compiled: Any = statement.compile(dialect=self._DIALECT, compile_kwargs={"render_postcompile": True})
         self._text: Any = str(compiled)
         self._constants, self._order = compiled.params, compiled.positiontup
         self._settings = settings

@@ -51,7 +51,7 @@ _ID = bindparam("saved", type_=Text)
 # ---- The statement. ---------------------------------------------------------------------------------------
 
 
-def _save(*conditions: ColumnElement[bool], is_claim: bool = False) -> Any:
+def _save(*conditions: ColumnElement[bool], is_claim: bool = False) -> DriverStatement:
     """A lease and a drain belong to the present attempt; a change of hands ends those of the one before.
 
     is_claim: it ends no attempt, and lets no job wait. Nor does it wait for the disk: if PostgreSQL is
@@ -97,7 +97,7 @@ def _save(*conditions: ColumnElement[bool], is_claim: bool = False) -> Any:
             usage.added_to_ledger(_insertion(ledger, saved)),
             usage.added_to_shares(_insertion(shares, saved, at=NOW)),
         ]
-    return answer.add_cte(*(part.cte(f"part_{place}") for place, part in enumerate(parts)))
+    return DriverStatement(answer.add_cte(*(part.cte(f"part_{place}") for place, part in enumerate(parts))))
 
 
 def _insertion(table: Table, saved: Any, **computed: Any) -> Any:
@@ -117,23 +117,22 @@ def _given(table: Table) -> Any:
     return columns.render_derived(name, with_types=True)
 
 
-# Built once, as they are parts of each claim and each end.
 SAVE = _save()
 # As if it were stale where somebody is about to change it; not where somebody refers to it, as by a new file.
-_CLAIM = DriverStatement(
-    _save(
-        jobs.c.id
-        == select(jobs.c.id)
-        .where(jobs.c.id == _ID)
-        .with_for_update(skip_locked=True, key_share=True)
-        .scalar_subquery(),
-        is_claim=True,
-    )
+_CLAIM = _save(
+    jobs.c.id
+    == select(jobs.c.id)
+    .where(jobs.c.id == _ID)
+    .with_for_update(skip_locked=True, key_share=True)
+    .scalar_subquery(),
+    is_claim=True,
 )
 TAKE_BACK = _save(leases.is_over())
-_BEFORE = select(
-    jobs.c.version, jobs.c.status, exists().where(artifacts.c.job_id == _ID).label("has_artifacts")
-).where(jobs.c.id == _ID)
+_BEFORE = DriverStatement(
+    select(
+        jobs.c.version, jobs.c.status, exists().where(artifacts.c.job_id == _ID).label("has_artifacts")
+    ).where(jobs.c.id == _ID)
+)
 
 
 # ---- Its uses. --------------------------------------------------------------------------------------------
@@ -142,7 +141,7 @@ _BEFORE = select(
 def save_job(
     connection: Connection,
     job: Job,
-    statement: Any = SAVE,
+    statement: DriverStatement = SAVE,
     *,
     lease: timedelta | None = None,
     note: str | None = None,
@@ -151,15 +150,14 @@ def save_job(
 
     statement: `SAVE`, or with a further condition. Raises StaleJob, JobNotFound.
     """
-    before = connection.execute(_BEFORE, {"saved": job.id}).first()
-    if before is None:
+    found = _BEFORE.rows(connection, {"saved": job.id})
+    if not found:
         raise JobNotFound(job.id[:64])
-    if before.version != job.version - 1:
+    if found[0]["version"] != job.version - 1:
         raise StaleJob(job.id)
-    values = _values(job, rows.status(before.status), lease, note)
-    if connection.execute(statement, values).first() is None:
+    if not statement.rows(connection, _values(job, rows.status(found[0]["status"]), lease, note)):
         refuse(connection, job.id)
-    if job.artifacts or before.has_artifacts:
+    if job.artifacts or found[0]["has_artifacts"]:
         write_artifacts(connection, job)
 
 

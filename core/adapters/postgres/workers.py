@@ -1,15 +1,15 @@
 """The workers that announced themselves, each until its time is over."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import timedelta
 from typing import Any
 
 import structlog
 from pydantic import ValidationError
-from sqlalchemy import Connection, Row, and_, delete, func, select
+from sqlalchemy import Connection, and_, delete, func, select
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
-from core.adapters.postgres.engine import Session
+from core.adapters.postgres.engine import DriverStatement, Session
 from core.adapters.postgres.listing import check_worker_cursor
 from core.adapters.postgres.rows import HELD, interval
 from core.adapters.postgres.tables import NOW, attempts, jobs, workers
@@ -30,6 +30,7 @@ _PRESENT = (
     .where(workers.c.gone_at > NOW)
     .order_by(workers.c.name)
 )
+_ALL_PRESENT = DriverStatement(_PRESENT)
 
 
 class WorkerQueries(Session):
@@ -53,24 +54,24 @@ class WorkerQueries(Session):
         after = None if cursor is None else check_worker_cursor(cursor)
         wanted = _PRESENT if after is None else _PRESENT.where(workers.c.name > after)
         with self._statements() as connection:
-            rows = connection.execute(wanted.limit(limit + 1)).all()
-        return WorkerPage(_readable(rows[:limit]), rows[limit - 1].name if len(rows) > limit else None)
+            rows = connection.execute(wanted.limit(limit + 1)).mappings().all()
+        return WorkerPage(_readable(rows[:limit]), rows[limit - 1]["name"] if len(rows) > limit else None)
 
 
 def present(connection: Connection) -> list[WorkerInfo]:
     """Those whose time is not over, ordered by name."""
-    return _readable(connection.execute(_PRESENT).all())
+    return _readable(_ALL_PRESENT.rows(connection, {}))
 
 
-def _readable(rows: Sequence[Row[Any, Any, Any]]) -> list[WorkerInfo]:
+def _readable(rows: Sequence[Mapping[Any, Any]]) -> list[WorkerInfo]:
     """The workers that this version can read; the others are logged and left out."""
     found: list[WorkerInfo] = []
     for row in rows:
         try:
-            worker = WorkerInfo.model_validate_json(row.document)
+            worker = WorkerInfo.model_validate_json(row["document"])
             # It may have claimed another job than that of its message.
-            own = row.jobs[0] if row.jobs else worker.job
-            found.append(worker.model_copy(update={"jobs": tuple(row.jobs or ()), "job": own}))
+            own = row["jobs"][0] if row["jobs"] else worker.job
+            found.append(worker.model_copy(update={"jobs": tuple(row["jobs"] or ()), "job": own}))
         except ValidationError as error:
             log.warning("worker_unreadable", problem=str(error))
     return found
