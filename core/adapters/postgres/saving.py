@@ -162,9 +162,9 @@ def save_job(
 
 
 def claim_job(connection: Connection, claimed: Job, lease: timedelta) -> None:
-    """Write the first version of a new attempt, in one statement. Raises StaleJob, JobNotFound."""
+    """Write a new attempt, in one statement. Raises StaleJob, also for a job that is gone."""
     if not _CLAIM.rows(connection, _values(claimed, JobStatus.QUEUED, lease)):
-        refuse(connection, claimed.id)
+        raise StaleJob(claimed.id)
 
 
 def _values(job: Job, before: JobStatus, lease: timedelta | None, note: str | None = None) -> rows.Values:
