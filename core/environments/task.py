@@ -14,10 +14,10 @@ import numpy as np
 
 from core.environments.deployment import Deployment, NotDeployed, deployment
 from core.environments.environment import TRUNCATED, Observation, State
+from core.environments.episode_start import RandomStart, first_motion, first_positions
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.environments.observation_group import ObservationGroup
-from core.environments.random_start import RandomStart
 from core.environments.reference.parts import Parts, Record
 from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback
 from core.environments.simulated_model import NotSimulated
@@ -58,7 +58,6 @@ from core.environments.terrain.grid import LAYOUT, WALKED, TerrainGrid
 from core.environments.torque_speed_curve import TorqueSpeedCurve
 from core.environments.trajectory import FollowedClip
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
-from core.physics.model import initial_qpos
 
 _LOWEST, _HIGHEST = 0.4, 2.0
 # Folded into a reset's key: the keys of the episode's own random numbers, and of where it begins.
@@ -101,7 +100,7 @@ class TaskEnv(MujocoEnv):
         # A decoder stands outside: see `core.environments.wrappers.decoded`.
         options = options.model_copy(update={"action": of_the_body(options.action)})
         root = model.body(options.root).id if options.root else root_of(model)
-        start = _start(model, options)
+        start = first_positions(model, options.reset)
         self._actuation = None
         if isinstance(options.action, JointAction):
             self._actuation = actuation(options.action, model, start)
@@ -160,7 +159,7 @@ class TaskEnv(MujocoEnv):
         if (free := named.free_joint(root)) is not None:
             self._lift[free + 2] = options.reset.lift
         self.initial_qpos = jnp.asarray(start, jnp.float32) + self._lift
-        self.initial_qvel, self.initial_act = _motion(model, options)
+        self.initial_qvel, self.initial_act = first_motion(model, options.reset)
         self._spec, self._parts, self._inventory = spec, named, parts
         self._grid = _terrain(options, model, start, named)
         self._cell: jax.Array | None = None
@@ -591,22 +590,3 @@ def _default_ends(parts: Inventory, height: float) -> Sequence[TerminationTerm]:
     if not parts.travels or height <= 0:
         return []
     return [OutsideHeightRange(range=(_LOWEST * height, _HIGHEST * height))]
-
-
-def _start(model: mujoco.MjModel, options: TaskOptions) -> np.ndarray:
-    """Positions [nq] at the start of an episode, before noise."""
-    reset = options.reset
-    if reset.qpos is not None:
-        return np.array(reset.qpos)
-    return initial_qpos(model) if reset.keyframe is None else np.array(model.key(reset.keyframe).qpos)
-
-
-def _motion(model: mujoco.MjModel, options: TaskOptions) -> tuple[jax.Array | None, jax.Array | None]:
-    """The velocities [nv] and the states of actuators [na] of the keyframe; None for those that are 0."""
-    if options.reset.keyframe is None:
-        return None, None
-    key = model.key(options.reset.keyframe)
-    qvel, act = (
-        jnp.asarray(values, jnp.float32) if np.any(values) else None for values in (key.qvel, key.act)
-    )
-    return qvel, act

@@ -1,4 +1,4 @@
-"""How an episode's first positions and velocities are drawn, besides noise."""
+"""Where an episode begins: its positions and velocities before noise, and how random ones are drawn."""
 
 import jax
 import jax.numpy as jnp
@@ -10,9 +10,28 @@ from core.environments.terms.rotations import product, rotated
 from core.environments.terms.starts import Fallen, PoseRange, VelocityRange
 from core.environments.terms.step import ModelIndex
 from core.environments.terms.task import Reset
+from core.physics.model import initial_qpos
 
 # The root's own axes: half a turn about x.
 _HALF_A_TURN = (0.0, 1.0, 0.0, 0.0)
+
+
+def first_positions(model: mujoco.MjModel, reset: Reset) -> np.ndarray:
+    """Positions [nq] at the start of an episode, before noise."""
+    if reset.qpos is not None:
+        return np.array(reset.qpos)
+    return initial_qpos(model) if reset.keyframe is None else np.array(model.key(reset.keyframe).qpos)
+
+
+def first_motion(model: mujoco.MjModel, reset: Reset) -> tuple[jax.Array | None, jax.Array | None]:
+    """The velocities [nv] and the states of actuators [na] of the keyframe; None for those that are 0."""
+    if reset.keyframe is None:
+        return None, None
+    key = model.key(reset.keyframe)
+    qvel, act = (
+        jnp.asarray(values, jnp.float32) if np.any(values) else None for values in (key.qvel, key.act)
+    )
+    return qvel, act
 
 
 class RandomStart:
