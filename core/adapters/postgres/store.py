@@ -24,7 +24,6 @@ from core.adapters.timing import Observe, unobserved
 from core.clips.record import CLIPS
 from core.user_models.record import MODELS
 
-# Built once: it is a part of every claim.
 _SELECT_NOW = select(NOW)
 
 
