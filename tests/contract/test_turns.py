@@ -11,7 +11,7 @@ import redis
 from sqlalchemy import text
 
 from core.accounts.store import Actor
-from core.adapters.postgres.engine import connect_postgres
+from core.adapters.postgres.engine import DriverStatement, connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.postgres.turns import running_query
 from core.adapters.rq.queue import RQQueue
@@ -292,6 +292,18 @@ def test_running_jobs_are_found_by_an_index_among_many_others(
     running = running_query("yields_to").replace(":held", "'{starting,running,cancelling}'")
     plan = str(database.read(f"EXPLAIN {running}"))
     assert "jobs_by_status" in plan, plan
+
+
+@pytest.mark.parametrize("isolation", ["AUTOCOMMIT", "READ COMMITTED"])
+def test_the_settings_of_a_statement_are_gone_with_its_transaction(database_url: str, isolation: str) -> None:
+    shown = text("SELECT current_setting('enable_sort') AS sort")
+    unsorted = DriverStatement(shown, "SELECT set_config('enable_sort', 'off', true)")
+    engine = connect_postgres(database_url, pool_size=1).execution_options(isolation_level=isolation)
+    with engine.begin() as connection:
+        assert unsorted.rows(connection, {}) == [{"sort": "off"}]
+    with engine.begin() as connection:
+        assert DriverStatement(shown).rows(connection, {}) == [{"sort": "on"}]
+    engine.dispose()
 
 
 def test_a_claim_whose_answer_was_lost_is_the_same_again(job_store: PostgresJobStore) -> None:
