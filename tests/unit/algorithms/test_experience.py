@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -81,7 +82,7 @@ def test_the_loss_is_brax_s_though_less_is_kept_and_normalisation_comes_first(
     settings = PPOSpec.model_validate({**SETTINGS.model_dump(), **numbers, **changes})
     transitions = some_transitions(num_steps=2 * unroll_length, num_envs=3)
     normalizer = running_statistics.update(init_normalizer(3), 1.0 + 2.0 * transitions.observation)
-    params = init_params(make_networks(3, 2, settings), jax.random.PRNGKey(0))
+    params = jax.jit(partial(init_params, make_networks(3, 2, settings)))(jax.random.PRNGKey(0))
     key = jax.random.PRNGKey(1)
 
     kept = cut_into_unrolls(transitions._replace(action=()), unroll_length)
@@ -91,7 +92,7 @@ def test_the_loss_is_brax_s_though_less_is_kept_and_normalisation_comes_first(
     )
     networks = make_networks(3, 2, settings, normalize=False)
     loss = loss_of(settings, networks, init_normalizer(3), Hyperparameters.of(settings))
-    ours, our_metrics = jax.grad(loss, has_aux=True)(params, kept, key)
+    ours, our_metrics = jax.jit(jax.grad(loss, has_aux=True))(params, kept, key)
 
     # Brax's own arrangement: everything, [unrolls, time, ...], and networks that normalise.
     whole = jax.tree.map(
@@ -115,7 +116,7 @@ def test_the_loss_is_brax_s_though_less_is_kept_and_normalisation_comes_first(
             **numbers,
         )
 
-    brax, brax_metrics = jax.grad(braxs_loss, has_aux=True)(params)
+    brax, brax_metrics = jax.jit(jax.grad(braxs_loss, has_aux=True))(params)
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(brax), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=2e-6)
     assert our_metrics.keys() == brax_metrics.keys()
@@ -133,7 +134,7 @@ class Marked(Probe):
 def starts_seen(learner: Learner, state: TrainingState) -> tuple[TrainingState, set[float]]:
     """The state after one more update, and the starts of the episodes that then run."""
     hyperparameters = Hyperparameters.of(learner.settings)
-    after, _, _ = learner.update(state, hyperparameters)
+    after, _, _ = jax.jit(learner.update)(state, hyperparameters)
     return after, set(np.asarray(after.episodes.state.obs[:, 0]).tolist())
 
 
@@ -148,7 +149,7 @@ def learner_of_short_episodes(**changes: object) -> Learner:
 @pytest.mark.extra
 def test_episodes_begin_in_fresh_states_of_their_update() -> None:
     learner = learner_of_short_episodes(reset_pool_size=5)
-    state = learner.init(jnp.uint32(0))
+    state = jax.jit(learner.init)(jnp.uint32(0))
     first = set(np.asarray(state.episodes.state.obs[:, 0]).tolist())
     state, second = starts_seen(learner, state)
     state, third = starts_seen(learner, state)
@@ -161,7 +162,7 @@ def test_episodes_begin_in_fresh_states_of_their_update() -> None:
 
 def test_without_a_pool_every_environment_goes_back_to_its_own_start() -> None:
     learner = learner_of_short_episodes(reset_pool_size=0)
-    state = learner.init(jnp.uint32(0))
+    state = jax.jit(learner.init)(jnp.uint32(0))
     after, _ = starts_seen(learner, state)
     np.testing.assert_array_equal(after.episodes.state.obs, state.episodes.state.obs)
 
@@ -201,7 +202,7 @@ def test_networks_see_observations_within_the_bound_and_the_normaliser_sees_all(
     layers = {"policy_hidden_layer_sizes": [4], "value_hidden_layer_sizes": [4]}
     bound = {"normalize_observations_max_abs_value": 1e-12}
     learner = Learner(endless(), PPOSpec.model_validate({**sizes, **layers, **bound}))
-    before = learner.init(jnp.uint32(0))
+    before = jax.jit(learner.init)(jnp.uint32(0))
     after, _, _ = jax.jit(learner.update)(before, Hyperparameters.of(learner.settings))
     np.testing.assert_allclose(after.normalizer.mean, [7.5], rtol=1e-5)
     np.testing.assert_allclose(after.normalizer.std, [(255 / 12) ** 0.5], rtol=1e-5)

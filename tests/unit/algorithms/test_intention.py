@@ -79,7 +79,9 @@ def test_the_encoder_sees_its_places_and_the_decoder_the_others() -> None:
         body = network.encode(normalizer, params, observation).body
         return network.decode(params, jnp.zeros(3), body)
 
-    encoded, decoded = (np.abs(jax.jacobian(function)(SEEN[0])).sum(0) > 0 for function in (z, logits))
+    encoded, decoded = (
+        np.abs(jax.jit(jax.jacobian(function))(SEEN[0])).sum(0) > 0 for function in (z, logits)
+    )
     assert encoded.tolist() == [False, True, True, False]
     assert decoded.tolist() == [True, False, False, True]
 
@@ -106,7 +108,7 @@ def test_the_ratio_is_one_before_anything_is_learnt_and_the_encoder_has_a_gradie
     one = jnp.ones((2, 1))
     transitions = one_step(acted, one)
     loss = loss_of(chosen, networks, normalizer, Hyperparameters.of(chosen))
-    gradient, metrics = jax.grad(loss, has_aux=True)(params, transitions, KEY)
+    gradient, metrics = jax.jit(jax.grad(loss, has_aux=True))(params, transitions, KEY)
     # −mean(ratio · advantage) with the advantages 1 − V: where the ratio is 1, its mean is V's less 1.
     assert float(metrics["policy_loss"]) == pytest.approx(float(jnp.mean(acted["value"])) - 1, rel=1e-5)
     of_encoder = jax.tree.leaves(gradient.policy["params"]["encoder"])

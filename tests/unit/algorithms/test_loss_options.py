@@ -53,11 +53,11 @@ def transition(**changes: jax.Array) -> Transition:
 )
 def test_a_value_that_moves_past_its_bound_earns_nothing_more(bound: float | None, expected: float) -> None:
     learner = Learner(probes.constant_reward(), settings(clipping_epsilon_value=bound))
-    params = jax.tree.map(jnp.zeros_like, learner.init(jnp.uint32(0)).params)
+    params = jax.tree.map(jnp.zeros_like, jax.jit(learner.init)(jnp.uint32(0)).params)
     params.value["params"]["hidden_1"]["bias"] += 0.8
     networks = learner._networks(normalize=False)
     loss = loss_of(learner.settings, networks, init_normalizer(1), Hyperparameters.of(learner.settings))
-    _, metrics = loss(params, transition(), jax.random.PRNGKey(0))
+    _, metrics = jax.jit(loss)(params, transition(), jax.random.PRNGKey(0))
     assert float(metrics["v_loss"]) == pytest.approx(expected, rel=1e-5)
 
 
@@ -75,7 +75,8 @@ def test_a_step_that_is_cut_off_becomes_an_end_with_its_own_value_for_the_rest()
 
 def after_one_update(**changes: object) -> tuple[Learner, object]:
     learner = Learner(probes.observed_reward(), settings(**changes))
-    state, _, _ = learner.update(learner.init(jnp.uint32(0)), Hyperparameters.of(learner.settings))
+    state = jax.jit(learner.init)(jnp.uint32(0))
+    state, _, _ = jax.jit(learner.update)(state, Hyperparameters.of(learner.settings))
     return learner, state
 
 
@@ -93,7 +94,7 @@ def test_networks_have_the_layers_asked_for() -> None:
     learner = Learner(
         probes.endless(), settings(policy_hidden_layer_sizes=[5, 3], value_hidden_layer_sizes=[7])
     )
-    params = learner.init(jnp.uint32(0)).params
+    params = jax.jit(learner.init)(jnp.uint32(0)).params
     shapes = {
         which: [layer["kernel"].shape for _, layer in sorted(getattr(params, which)["params"].items())]
         for which in ("policy", "value")
