@@ -57,7 +57,9 @@ def _look(what: str, folder: Path, layers: tuple[Layer, ...]) -> None:
 
             say(ClipsAnswer(description=clip_findings(folder)))
     except GaitwayError as error:
-        say(kind(refusal=error.detail))
+        # It may quote the file, and not all of that may be text that can be stored.
+        said = error.detail.encode(errors="backslashreplace").decode().replace("\0", "\\0")
+        say(kind(refusal=said))
     except MemoryError:
         say(kind(refusal="It takes more memory than such a file may."))
 

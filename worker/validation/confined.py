@@ -210,4 +210,4 @@ def why_without_answer(reader: str, what: str, status: int | None, limits: Limit
         return f"{reader} was not done with the {what} in the time that it may take; make it smaller."
     if status < 0:
         return f"{reader} crashed on the {what} ({signal.Signals(-status).name})."
-    return f"The {what} could not be read; it may need more memory than a {what} may."
+    return f"The {what} could not be read: its content is not as its format asks."

@@ -18,7 +18,7 @@ from core.adapters.postgres.store import PostgresJobStore
 from core.clips import archive
 from core.clips.clip import Clip
 from core.clips.record import ARCHIVE, REPLAY, SCENE, ClipFile, clips_id
-from core.errors import ClipsNotFound
+from core.errors import BadClips, ClipsNotFound
 from core.jobs.job import utc_now
 from core.jobs.orphans import differences, mark_missing
 from core.rendering.replay.replay_file import read_replay
@@ -26,8 +26,10 @@ from core.storage import keys
 from core.uploads import library
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.models import add as add_model
-from worker.validation.answer import read_progress
+from worker.validation.__main__ import _look
+from worker.validation.answer import ClipsAnswer, read_answer, read_progress
 from worker.validation.clips import validate_clips
+from worker.validation.confined import ANSWER
 
 HOPS = b"""<mujoco><worldbody>
   <geom type="plane" size="5 5 1"/>
@@ -256,7 +258,7 @@ def test_clips_whose_replay_was_lost_are_validated_again(tmp_path: Path, stores:
     [
         (None, "The reader was not done with the file of clips within 900 s; make it smaller."),
         (-signal.SIGSEGV, "The reader crashed on the file of clips (SIGSEGV)."),
-        (1, "The file of clips could not be read; it may need more memory than a file of clips may."),
+        (1, "The file of clips could not be read: its content is not as its format asks."),
     ],
 )
 def test_a_process_that_says_nothing_is_told_by_its_end(
@@ -268,6 +270,17 @@ def test_a_process_that_says_nothing_is_told_by_its_end(
 ) -> None:
     monkeypatch.setattr("worker.validation.clips.run_to_its_end", lambda *_args, **_how: status)
     assert sent(b"clips", stores, tmp_path).message == sentence
+
+
+def test_a_refusal_that_quotes_the_file_is_text_that_can_be_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refusing(_: Path) -> None:
+        raise BadClips("There is no joint `a\0\ud800`.")
+
+    monkeypatch.setattr("worker.validation.clip_findings.clip_findings", refusing)
+    _look("clips", tmp_path, ())
+    assert read_answer(tmp_path / ANSWER, ClipsAnswer).refusal == "There is no joint `a\\0\\ud800`."
 
 
 @pytest.mark.extra
