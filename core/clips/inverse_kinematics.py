@@ -32,7 +32,7 @@ _NO_BOUND = 1e3
 # Key points that a frame shows; fewer do not say how the body is turned.
 _FEWEST_POINTS = 3
 # How many frames offsets are fitted to, as in stac-mjx.
-_FITTED_FRAMES = 100
+FITTED_FRAMES = 100
 # The weight of the given offset in the fitted one, beside a weight of 1 for all these frames together.
 _GIVEN_WEIGHT = 0.1
 
@@ -113,8 +113,9 @@ def _spread(points: Array) -> float:
 
     points: [T, K, 3] m; NaN where one was not seen.
     """
-    apart = points - np.nanmean(points, axis=1, keepdims=True)
-    return float(np.median(np.sqrt(np.nanmean((apart**2).sum(axis=-1), axis=1))))
+    with np.errstate(over="ignore"):  # A point may be anywhere.
+        apart = points - np.nanmean(points, axis=1, keepdims=True)
+        return float(np.median(np.sqrt(np.nanmean((apart**2).sum(axis=-1), axis=1))))
 
 
 def _used(key_points: Array, names: Sequence[str], mapping: Mapping[str, BodyPoint]) -> list[int]:
@@ -189,13 +190,14 @@ class _Fit:
         return moved
 
     def fit_offsets(self, row: Array, seen: Array) -> None:
-        """Move each point to the mean, over some frames, of its key point's place in the body's frame.
+        """Move each point to the median, over some frames, of its key point's place in the body's frame.
 
         row: [nq], where the search for the first pose begins. seen: [T, K, 3] m. The given offset has a
-        weight in the mean: without it the body could lie anywhere under its points.
+        weight beside it: without it the body could lie anywhere under its points. A mean would follow the few
+        frames in which a key point is far off.
         """
         places: list[Array] = []
-        for frame in np.unique(np.linspace(0, len(seen) - 1, _FITTED_FRAMES).astype(int)):
+        for frame in np.unique(np.linspace(0, len(seen) - 1, FITTED_FRAMES).astype(int)):
             row = self.nearest(row, seen[frame], _FIRST_ITERATIONS)
             self.points(row)
             turns = self._data.xmat[self._bodies].reshape(-1, 3, 3)
@@ -203,7 +205,8 @@ class _Fit:
         found = np.stack(places)
         number = np.isfinite(found).all(axis=-1).sum(axis=0)[:, None]
         weight = _GIVEN_WEIGHT * len(found)
-        self.offsets = (np.nansum(found, axis=0) + weight * self._given) / (number + weight)
+        middle = np.nanmedian(np.where(number, found, self._given), axis=0)
+        self.offsets = (number * middle + weight * self._given) / (number + weight)
 
     def nearest(self, row: Array, targets: Array, iterations: int) -> Array:
         """The pose [nq] whose points are nearest to the targets.

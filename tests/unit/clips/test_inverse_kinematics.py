@@ -64,6 +64,15 @@ def test_a_point_that_is_lost_for_a_while_does_not_pull(model: mujoco.MjModel) -
     np.testing.assert_allclose(found.clip.joint_positions, MOTION.joint_positions, atol=0.1)
 
 
+def test_a_frame_with_a_point_far_off_does_not_move_the_fitted_offsets(model: mujoco.MjModel) -> None:
+    points = seen(model)
+    points[3, NAMES.index("nose")] += [3.0, 0.0, 0.0]
+    found = solve(points, NAMES, MAPPING, model, rate=15.0, rounds=2)
+    # A mean of the eight frames follows by 3 m / 8.
+    moved = [np.linalg.norm(found.offsets[name] - point.offset) for name, point in MAPPING.items()]
+    assert max(moved) < 0.01
+
+
 def test_joints_stay_within_their_limits(model: mujoco.MjModel) -> None:
     points = seen(model)
     points[:, NAMES.index("left_toe"), 0] += 2.0  # where the shin would bend forwards
