@@ -3,7 +3,6 @@ clip follows them."""
 
 import json
 import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,20 +16,20 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from core.clips.clip import Clip
 from core.clips.formats.key_points import KeyPoints
-from core.clips.formats.recording import MOST_NUMBERS
-from core.clips.inverse_kinematics import BodyPoint, Solution, solve, spreads
+from core.clips.formats.recording import DAMAGED_ZIP, MOST_NUMBERS, check_text
+from core.clips.inverse_kinematics import FITTED_FRAMES, BodyPoint, Solution, solve, spreads
 from core.clips.quaternions import Array
-from core.clips.record import KeyPointFacts
+from core.clips.record import MOST_SOLVING_S, KeyPointFacts
 from core.clips.skeleton import listed, skeleton_of
 from core.documents import Strict
 from core.errors import BadClips
 
 # The file beside the recording in a ZIP.
 OPTIONS = "points.json"
-# Frames times key points of one recording: 14 minutes of 23 key points at 50 frames a second.
-MOST_POINTS = 1_000_000
-# The processor time that solving may take for each point; on a slow core it takes a fifth of that.
-_SECONDS_A_POINT = 5e-4
+# The processor time that solving may take for each frame and each of its points: six times what it takes.
+_SECONDS_A_FRAME, _SECONDS_A_POINT = 8e-3, 1.5e-4
+# A frame that offsets are fitted to takes as long as so many others: the search begins far from its pose.
+_OF_FITTED = 5
 # Bytes in a ZIP, unpacked.
 _LARGEST_OPTIONS, _LARGEST_RECORDING = 2**20, 8 * MOST_NUMBERS
 # The units that a file may have, each in metres.
@@ -38,6 +37,10 @@ _UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0}
 # In the right unit, the key points are less than three times as far apart as the body's points, and more than
 # a third.
 _MOST_APART = 3.0
+# The highest coordinate of a point, in m.
+_FARTHEST = 1000.0
+# Fewer frames a second than a motion has: perhaps NWB's times are numbers of frames, not seconds.
+_FEW_FRAMES = 5.0
 # Warn of key points that are on average farther from the body than this share of the body's size,
 _FAR = 0.05
 # of a body whose points are farther apart, or nearer together, than the key points by this share,
@@ -59,7 +62,7 @@ class KeyPointOptions(Strict):
     points: dict[str, BodyPoint] | None = Field(None, max_length=1000)
     names: list[str] | None = None
     scale: float | None = Field(None, gt=0)
-    lift: float = 0.0
+    lift: float = Field(0.0, ge=-_FARTHEST, le=_FARTHEST)
     fit_offsets: int = Field(2, ge=0, le=20)
 
 
@@ -81,24 +84,27 @@ def unpacked(path: Path) -> tuple[Path, KeyPointOptions | None]:
         return path, None
     try:
         with zipfile.ZipFile(path) as packed:
-            # A ZIP made on a Mac has files of the Mac's own in this folder.
+            # A ZIP made on a Mac has files of the Mac's own, which all begin with a dot.
             members = [
-                one for one in packed.infolist() if not one.is_dir() and "__MACOSX/" not in one.filename
+                one
+                for one in packed.infolist()
+                if not one.is_dir() and not Path(one.filename).name.startswith(".")
             ]
             said = [one for one in members if Path(one.filename).name == OPTIONS]
             others = [one for one in members if one not in said]
             if not said:
                 return path, None
-            if len(said) + len(others) != 2:
+            if (len(said), len(others)) != (1, 1):
                 raise BadClips(
-                    f"A ZIP with `{OPTIONS}` has one recording beside it, not {len(others)} files."
+                    f"A ZIP with `{OPTIONS}` has one recording beside it; this one has {len(said)} such and "
+                    f"{len(others)} other files."
                 )
             if said[0].file_size > _LARGEST_OPTIONS or others[0].file_size > _LARGEST_RECORDING:
                 raise BadClips(f"The ZIP is too large: its recording may have {_LARGEST_RECORDING:,} bytes.")
             options = options_of(packed.read(said[0]))
             recording = path.with_name(f"{path.name}.recording")
             recording.write_bytes(packed.read(others[0]))
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+    except DAMAGED_ZIP as error:
         raise BadClips(f"The ZIP is not whole: {error}.") from None
     return recording, options
 
@@ -107,24 +113,33 @@ def options_of(content: bytes) -> KeyPointOptions:
     """The options in a `points.json`. Raises BadClips, which names the field."""
     try:
         json.loads(content, object_pairs_hook=_unique)
-        return KeyPointOptions.model_validate_json(content)
+        options = KeyPointOptions.model_validate_json(content)
     except ValidationError as error:
         found = error.errors()[0]
         place = ".".join(str(part) for part in found["loc"])
         raise BadClips(f"`{OPTIONS}`{f' at `{place}`' if place else ''}: {found['msg']}.") from None
     except (ValueError, RecursionError) as error:
         raise BadClips(f"`{OPTIONS}` is no JSON: {error}.") from None
+    points = options.points or {}
+    for name in (*points, *(point.body for point in points.values()), *(options.names or ())):
+        check_text(name)
+    return options
 
 
-def seconds_for(found: KeyPoints) -> int:
+def seconds_for(found: KeyPoints, options: KeyPointOptions) -> int:
     """The processor time that solving may take. Raises BadClips for a recording that is too long."""
     num_frames, num_points = found.points.shape[:2]
-    if num_frames * num_points > MOST_POINTS:
+    num_points = len(options.points) if options.points else num_points
+    of_a_frame = _SECONDS_A_FRAME + num_points * _SECONDS_A_POINT
+    fitted = _OF_FITTED * options.fit_offsets * min(num_frames, FITTED_FRAMES)
+    seconds = round((num_frames + fitted) * of_a_frame)
+    if seconds > MOST_SOLVING_S:
+        most = max(0, int(MOST_SOLVING_S / of_a_frame) - fitted)
         raise BadClips(
-            f"The recording has {num_frames:,} frames of {num_points} key points; {MOST_POINTS:,} points are "
-            f"solved at most, which are {MOST_POINTS // num_points:,} frames. Cut it into several files."
+            f"The recording has {num_frames:,} frames; of {num_points} key points and with `fit_offsets` "
+            f"{options.fit_offsets}, {most:,} are solved at most. Cut it into several files."
         )
-    return round(num_frames * num_points * _SECONDS_A_POINT)
+    return seconds
 
 
 def solved(  # As `solve`.
@@ -144,6 +159,10 @@ def solved(  # As `solve`.
     mapping = options.points or _ready(said, found.points.shape[1], model)
     names = _names(said or tuple(mapping), found)
     scale, warnings = _scale(found.points, names, mapping, model, options)
+    if (farthest := np.nanmax(np.abs(found.points)) * scale) > _FARTHEST:
+        raise BadClips(
+            f"A key point is {farthest:,.3g} m from the origin; at most {_FARTHEST:,.0f} m is read."
+        )
     points = found.points * scale + np.array([0.0, 0.0, options.lift])
     solution = solve(
         points, names, mapping, model, rate=rate, name=name, rounds=options.fit_offsets, begin=begin
@@ -254,6 +273,8 @@ def _misfits(
 ) -> Iterator[str]:
     """Warnings of a poor fit. scale: metres of one of the file's units."""
     size, num_frames = skeleton_of(model).size, solution.clip.num_frames
+    if (rate := solution.clip.rate) < _FEW_FRAMES:
+        yield f"The recording has {rate:g} frames a second, which are few: the rate may be wrong."
     if far := [one.name for one in facts if (one.mean_distance or 0) > _FAR * size]:
         worst = max(one.mean_distance or 0 for one in facts)
         yield (

@@ -1,8 +1,6 @@
 """A file of clips in any known format, told by its content, as clips of a body."""
 
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +15,14 @@ from core.clips.clip import Clip, arrays, with_velocities
 from core.clips.formats import hdf5, lafan, mjlab, mocap, stac, trajectories
 from core.clips.formats import key_points as points_of
 from core.clips.formats.key_points import KeyPoints
-from core.clips.formats.recording import LONGEST_NAME, MOST_NUMBERS, Recording, at_the_origin
+from core.clips.formats.recording import (
+    DAMAGED_ZIP,
+    LONGEST_NAME,
+    MOST_NUMBERS,
+    Recording,
+    at_the_origin,
+    check_text,
+)
 from core.clips.kinematics import poses, qpos
 from core.clips.quaternions import Array
 from core.clips.record import KeyPointFacts
@@ -25,6 +30,7 @@ from core.clips.skeleton import Skeleton, aligned, skeleton_of
 from core.errors import BadClips
 
 MOST_CLIPS = 10_000
+_HIGHEST_RATE = 10_000
 _NPZ_MAGIC = b"PK\x03\x04"
 _LARGEST_NPZ_BYTES = 8 * MOST_NUMBERS
 _MOST_PROBLEMS = 5
@@ -64,12 +70,15 @@ def read(  # All but the file and the body are named.
     """
     skeleton = skeleton_of(model)
     path, options = key_points.unpacked(path)
-    format, found = _recordings(path)
+    format, found = _recordings(path, skeleton.joints if options is None else ())
     if isinstance(found, KeyPoints):
-        allow(key_points.seconds_for(found))
         options = options or key_points.KeyPointOptions.model_validate({})
-        solved = key_points.solved(found, options, model, rate=_rate(found, rate), name=name, begin=begin)
+        rate = _rate(found, rate)
+        allow(key_points.seconds_for(found, options))
+        solved = key_points.solved(found, options, model, rate=rate, name=name, begin=begin)
         clip = with_velocities(solved.clip)
+        if wrong := numeric_problems(clip):
+            raise BadClips(" ".join(wrong))
         # The poses are estimates: what is wrong with some, as a tail that no point shows, is told alone.
         findings = check(clip, skeleton)
         warnings = [*solved.warnings, *findings.problems, *findings.warnings]
@@ -100,7 +109,9 @@ def read(  # All but the file and the body are named.
     return Reading(format, clips, told)
 
 
-def _recordings(path: Path) -> tuple[str, list[Recording] | KeyPoints]:
+def _recordings(path: Path, joints: Sequence[str]) -> tuple[str, list[Recording] | KeyPoints]:
+    """The file's format, and what it holds. joints: columns of a CSV that are called so are joints, and no
+    coordinates of key points."""
     with path.open("rb") as file:
         start = file.read(len(points_of.MATLAB_HDF5))
     if start.startswith(_NPZ_MAGIC):
@@ -119,7 +130,7 @@ def _recordings(path: Path) -> tuple[str, list[Recording] | KeyPoints]:
         )
     if not start:
         raise BadClips("The file is empty.")
-    if (found := points_of.of_text(path)) is not None:
+    if (found := points_of.of_text(path, joints)) is not None:
         return points_of.NAME, found
     return lafan.NAME, lafan.recordings(path)
 
@@ -148,17 +159,7 @@ def _of_npz(path: Path) -> tuple[str, list[Recording] | KeyPoints]:
             )
             raise BadClips(detail) from None
         raise BadClips(f"The NPZ file cannot be read: {error}.") from None
-    except (
-        zipfile.BadZipFile,
-        zipfile.LargeZipFile,
-        EOFError,
-        OSError,
-        KeyError,
-        NotImplementedError,
-        RuntimeError,  # It is encrypted.
-        tokenize.TokenError,  # The header of an array is damaged.
-        zlib.error,
-    ) as error:
+    except DAMAGED_ZIP as error:
         raise BadClips(f"The NPZ file is not whole: {error}.") from None
     raise BadClips(f"The NPZ file has {_some(names)}, which is no known format. Known are {_FORMATS}.")
 
@@ -191,6 +192,7 @@ def _labels(recordings: Sequence[Recording], name: str) -> Iterator[str]:
     used = dict[str, int]()
     for recording in recordings:
         label = plain = (recording.name or name)[:LONGEST_NAME]
+        check_text(label)
         while label in used:
             used[plain] += 1
             label = f"{plain}_{used[plain]}"
@@ -256,7 +258,8 @@ def _with_root(recording: Recording, skeleton: Skeleton) -> Recording:
 
 
 def _rate(recording: Recording | KeyPoints, rate: float | None) -> float:
-    """Frames per second. Raises BadClips if neither the file nor its sender says, or if they disagree."""
+    """Frames per second. Raises BadClips if neither the file nor its sender says, if they disagree, and for a
+    rate that no recording has."""
     if recording.rate is None:
         if rate is None:
             hint = (
@@ -264,6 +267,11 @@ def _rate(recording: Recording | KeyPoints, rate: float | None) -> float:
             )
             raise BadClips(f"The file does not say how many frames a second it has: give `rate`.{hint}")
         return rate
+    if not 0 < recording.rate <= _HIGHEST_RATE:
+        raise BadClips(
+            f"The file says that it has {recording.rate:g} frames a second: it must be more than 0 and at "
+            f"most {_HIGHEST_RATE:,}."
+        )
     if rate is not None and abs(rate - recording.rate) > 0.001 * rate:
         raise BadClips(f"The file says that it has {recording.rate:g} frames a second, and `rate` {rate:g}.")
     return recording.rate

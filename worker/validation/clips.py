@@ -7,7 +7,16 @@ from pathlib import Path
 
 import structlog
 
-from core.clips.record import ARCHIVE, CLIPS, REPLAY, SCENE, ClipFile, ClipsDescription, MadeFile
+from core.clips.record import (
+    ARCHIVE,
+    CLIPS,
+    MOST_SOLVING_S,
+    REPLAY,
+    SCENE,
+    ClipFile,
+    ClipsDescription,
+    MadeFile,
+)
 from core.errors import NotFound, ObjectDamaged, ObjectNotFound, Unavailable
 from core.jobs.job import utc_now
 from core.jobs.uploads import Uploads
@@ -28,7 +37,7 @@ _MEDIA_TYPES = {
 }
 _MOST_BYTES = 2**29
 # Key points take longer than other files: `core.clips.key_points.seconds_for` says how long.
-_LIMITS = Limits(wall_s=900.0, more_cpu_s=500)
+_LIMITS = Limits(wall_s=900.0, more_cpu_s=MOST_SOLVING_S)
 _INTERRUPTED = "A worker was stopped while it refused the clips; send them again to learn why."
 
 

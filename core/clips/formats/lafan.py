@@ -23,6 +23,8 @@ def recordings(path: Path) -> list[Recording]:
     except UnicodeDecodeError:
         raise BadClips("The file is neither NPZ nor HDF5, nor text of numbers (CSV).") from None
     lines = [line for line in enumerate(text.splitlines(), 1) if line[1].strip()]
+    if long := [number for number, text in lines[:2] if len(text) > _LONGEST_LINE]:
+        raise BadClips(f"Line {long[0]} of the file has more than {_LONGEST_LINE:,} characters.")
     header: list[str] | None = None
     if lines and not _is_numeric(lines[0][1]):
         header = [name.strip().strip('"') for name in lines.pop(0)[1].split(",")]

@@ -1,5 +1,10 @@
 """What a file says of one clip, before it is known to be one of the body's."""
 
+import lzma
+import re
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +17,22 @@ from core.errors import BadClips
 # Of one array: 400 MB in memory.
 MOST_NUMBERS = 50_000_000
 LONGEST_NAME = 200
+# U+0000, which no database stores as text, and what UTF-8 cannot encode.
+_NO_TEXT = re.compile("[\0\ud800-\udfff]")
+# What `zipfile` and NumPy raise for a ZIP that is damaged or encrypted.
+DAMAGED_ZIP = (
+    zipfile.BadZipFile,
+    zipfile.LargeZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    tokenize.TokenError,  # in the header of an array
+    EOFError,
+    OSError,
+    KeyError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +84,12 @@ def number(values: Any, name: str) -> float:
     if array.dtype.kind not in "fiu" or array.size != 1:
         raise BadClips(f"`{name}` is not one number.")
     return float(array.reshape(()))
+
+
+def check_text(text: str) -> None:
+    """Refuse a name that no record can hold. Raises BadClips."""
+    if _NO_TEXT.search(text):
+        raise BadClips(f"The name {text[:40]!r} has the character U+0000, or one that UTF-8 cannot encode.")
 
 
 def strings(values: Any, name: str) -> tuple[str, ...]:

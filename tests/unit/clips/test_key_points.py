@@ -13,12 +13,15 @@ import pytest
 import scipy.io
 
 from core.clips import key_points
+from core.clips.formats import key_points as key_points_of
+from core.clips.formats import lafan
 from core.clips.formats.key_points import KeyPoints
 from core.clips.reading import Reading, read
 from core.errors import BadClips
 from tests.unit.clips.bodies import walker
 from tests.unit.clips.test_inverse_kinematics import MAPPING, MOTION, NAMES, seen
 
+TIMES = 7.0 + np.arange(MOTION.num_frames) / 15
 POINTS = {name: {"body": point.body, "offset": point.offset} for name, point in MAPPING.items()}
 
 
@@ -38,7 +41,7 @@ def hdf5(path: Path, **arrays: Any) -> None:
             file[name] = values
 
 
-def nwb(path: Path, points: Any) -> None:
+def nwb(path: Path, points: Any, times: Any = TIMES) -> None:
     """As pynwb with ndx-pose writes it, in millimetres."""
     with h5py.File(path, "w") as file:
         group = file.create_group("processing/behavior/PoseEstimation")
@@ -47,7 +50,7 @@ def nwb(path: Path, points: Any) -> None:
             series = group.create_group(name)
             series["data"] = points[:, place] * 1000
             series["data"].attrs["conversion"] = 0.001
-            series["timestamps"] = 7.0 + np.arange(len(points)) / 15
+            series["timestamps"] = times
 
 
 def anipose(path: Path, points: Any) -> None:
@@ -75,6 +78,7 @@ def dannce(path: Path, points: Any) -> None:
 
 def dannce_of_matlab(path: Path, points: Any) -> None:
     with h5py.File(path, "w", userblock_size=512) as file:
+        file["names"] = np.zeros((1, len(NAMES)), "u8")  # It stores texts as references.
         file["pred"] = points.transpose(0, 2, 1).T  # MATLAB's axes are the other way round.
     with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
@@ -83,6 +87,7 @@ def dannce_of_matlab(path: Path, points: Any) -> None:
 LAYOUTS: dict[str, Callable[[Path, Any], None]] = {
     "npz": lambda path, points: npz(path, key_points=points, names=np.array(NAMES), fps=15.0),
     "sleap": lambda path, points: hdf5(path, tracks=points[:, None], node_names=np.array(NAMES, "S")),
+    "sleap-analysis": lambda path, points: hdf5(path, tracks=points.T[None], node_names=np.array(NAMES, "S")),
     "nwb": nwb,
     "anipose": anipose,
     "deeplabcut": deeplabcut,
@@ -157,6 +162,7 @@ def test_the_rat_needs_no_mapping_where_names_and_body_are_its(model: mujoco.MjM
             "In frame 0, 2 of the mapped key points are seen; it takes 3",
         ),
         ({"points": POINTS, "scale": 0.001}, r"are 0.00\d+ times as far apart as the body's: give `scale`"),
+        ({"points": POINTS, "lift": 1e39}, "`points.json` at `lift`"),
         ({"points": POINTS, "names": NAMES[:4]}, "The file has 11 key points and 4 names"),
         ({"points": POINTS, "names": [*NAMES[:-1], "hip"]}, "Two key points are called 'hip'"),
         ({"points": {"hip": {"body": "head", "at": [0, 0, 0]}}}, r"`points.json` at `points.hip.at`"),
@@ -174,11 +180,21 @@ def test_what_does_not_fit_the_recording_is_refused(
 def test_what_is_no_recording_is_refused(model: mujoco.MjModel, tmp_path: Path) -> None:
     path = tmp_path / "sent"
     for arrays, sentence in (
-        ({"tracks": np.zeros((8, 2, 11, 3))}, "`tracks` has 2 animals"),
+        ({"tracks": np.zeros((8, 2, 11, 3))}, r"the shape \[8, 2, 11, 3\] of 2 animals"),
         ({"pred": np.zeros((8, 11, 2))}, r"`pred` has the shape \[8, 11, 2\]"),
         (
             {"key_points": np.full((8, 11, 3), np.nan), "names": np.array(NAMES)},
             "In frame 0, 0 of the mapped",
+        ),
+        ({"tracks": np.zeros((1, 2, 11, 8))}, "two coordinates are no place in space"),
+        ({"key_points": np.zeros((8, 3, 3))}, r"the shape \[8, 3, 3\], which may be \[T, K, 3\] or"),
+        ({"key_points": np.zeros((8, 0, 3)), "names": np.array([], "U1")}, "has no key points"),
+        ({"key_points": np.zeros((8, 3, 4)), "names": np.array(NAMES)}, "4 key points, and `names` 11 names"),
+        ({"key_points": np.zeros((8, 1, 3)), "names": np.array(["a\0b"])}, "has the character U"),
+        ({"key_points": np.zeros((8, 1, 3)), "names": np.array(["a\ud800"])}, "that UTF-8 cannot encode"),
+        *(
+            ({"key_points": np.zeros((8, 1, 3)), "fps": fps}, "frames a second: it must be more than 0")
+            for fps in (0.0, -5.0, np.nan, np.inf)
         ),
         (
             {"joint_pos": np.zeros((8, 14)), "fps": 15},
@@ -196,5 +212,81 @@ def test_what_is_no_recording_is_refused(model: mujoco.MjModel, tmp_path: Path) 
         found_in(path, model)
     with pytest.raises(BadClips, match="no JSON: it has 'hip' twice"):
         key_points.options_of(b'{"points": {"hip": {"body": "a"}, "hip": {"body": "b"}}}')
-    with pytest.raises(BadClips, match=r"50,000 frames of 23 key points; .* are 43,478 frames"):
-        key_points.seconds_for(KeyPoints(np.zeros((50_000, 23, 3))))
+    with pytest.raises(BadClips, match=r"The name 'a\\x00' has the character"):
+        key_points.options_of(b'{"points": {"hip": {"body": "a\\u0000"}}}')
+    nwb(path, seen(model), times=np.zeros(MOTION.num_frames))
+    with pytest.raises(BadClips, match="`timestamps` of the NWB file do not rise"):
+        found_in(path, model)
+
+
+def test_points_that_are_infinite_are_not_seen_and_those_that_are_far_off_are_refused(
+    model: mujoco.MjModel, tmp_path: Path
+) -> None:
+    points, options = seen(model), {"points": POINTS, "fit_offsets": 0}
+    points[3, 0, 1] = np.inf
+    npz(tmp_path / "sent", key_points=points, names=np.array(NAMES))
+    found = read(sent(tmp_path / "sent", options), model, rate=2.0)
+    assert found.key_points[0].num_seen == MOTION.num_frames - 1
+    assert any("has 2 frames a second, which are few" in told for told in found.warnings[0])
+    points[3, 0] = 1e200
+    npz(tmp_path / "sent", key_points=points, names=np.array(NAMES))
+    with pytest.raises(BadClips, match=r"1e\+200 m from the origin; at most 1,000 m"):
+        found_in(tmp_path / "sent", model, options)
+
+
+def test_the_name_of_an_array_tells_the_axes_of_three_points() -> None:
+    array = np.arange(18.0).reshape(2, 3, 3)
+    found = key_points_of.of_arrays({"pred": array})
+    assert found is not None
+    np.testing.assert_array_equal(found.points, array.transpose(0, 2, 1))
+
+
+def test_a_zip_is_one_recording_with_its_points(model: mujoco.MjModel, tmp_path: Path) -> None:
+    npz(tmp_path / "sent", key_points=seen(model), names=np.array(NAMES))
+    packed = sent(tmp_path / "sent")
+    with zipfile.ZipFile(packed, "a") as file:
+        file.writestr("a folder/.DS_Store", "a Mac's")
+    recording, options = key_points.unpacked(packed)
+    assert recording.read_bytes() == (tmp_path / "sent").read_bytes()
+    assert options == key_points.options_of(json.dumps({"points": POINTS}).encode())
+    with zipfile.ZipFile(packed, "a") as file:
+        file.writestr("another/points.json", "{}")
+    with pytest.raises(BadClips, match="has 2 such and 1 other files"):
+        key_points.unpacked(packed)
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_LZMA) as file:
+        file.writestr("é/points.json", json.dumps({"points": POINTS}))
+        file.write(tmp_path / "sent", "recording")
+    whole = packed.read_bytes()
+    # Of the header of its first file, then of that file's name in the list at the end.
+    for damaged in (
+        whole[:70] + b"\xff" * 40 + whole[110:],
+        whole[::-1].replace(b"\xa9\xc3", b"\xff\xff", 1)[::-1],
+    ):
+        packed.write_bytes(damaged)
+        with pytest.raises(BadClips, match="The ZIP is not whole"):
+            key_points.unpacked(packed)
+
+
+def test_columns_that_are_joints_are_no_key_points(tmp_path: Path) -> None:
+    path = tmp_path / "sent"
+    path.write_text("a_x,a_y,a_z,b_x,b_y,b_z,c_x,c_y,c_z\n" + "0," * 8 + "0\n")
+    assert key_points_of.of_text(path) is not None
+    assert key_points_of.of_text(path, ["b_y"]) is None
+    # Of 400 MB, its cells took a minute.
+    path.write_text("0," * 600_000)
+    assert key_points_of.of_text(path) is None
+    with pytest.raises(BadClips, match="Line 1 of the file has more than 20,000 characters"):
+        lafan.recordings(path)
+
+
+@pytest.mark.parametrize(
+    ("num_points", "rounds", "most"),
+    # 500 s / (8 ms + 0.15 ms a point), less five frames for each of 100 that offsets are fitted to, a round.
+    [(23, 2, 42_668), (3, 2, 58_171), (3, 0, 59_171), (3, 20, 49_171)],
+)
+def test_a_recording_has_a_budget_of_frames(num_points: int, rounds: int, most: int) -> None:
+    options = key_points.KeyPointOptions(fit_offsets=rounds)
+    frames = np.zeros((most + 10, num_points, 3))
+    assert key_points.seconds_for(KeyPoints(frames[:most]), options) == 500
+    with pytest.raises(BadClips, match=f"{most:,} are solved at most"):
+        key_points.seconds_for(KeyPoints(np.zeros((most + 100, num_points, 3))), options)

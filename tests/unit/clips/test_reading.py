@@ -316,5 +316,5 @@ class TestRate:
 
     @pytest.mark.parametrize("fps", [0, -1, np.nan])
     def test_one_that_is_none_is_refused(self, model: mujoco.MjModel, tmp_path: Path, fps: float) -> None:
-        with pytest.raises(BadClips, match="frames per second"):
+        with pytest.raises(BadClips, match="frames a second: it must be more than 0"):
             read(self.file(tmp_path, fps=fps), model)
