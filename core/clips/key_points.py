@@ -26,8 +26,9 @@ from core.errors import BadClips
 
 # The file beside the recording in a ZIP.
 OPTIONS = "points.json"
-# The processor time that solving may take for each frame and each of its points: six times what it takes.
-_SECONDS_A_FRAME, _SECONDS_A_POINT = 8e-3, 1.5e-4
+# The processor time that solving may take for each frame, each of its points, and the square of the body's
+# degrees of freedom: two to six times what it takes.
+_SECONDS_A_FRAME, _SECONDS_A_POINT, _SECONDS_A_SQUARE = 5e-3, 5e-5, 1.2e-6
 # A frame that offsets are fitted to takes as long as so many others: the search begins far from its pose.
 _OF_FITTED = 5
 # Bytes in a ZIP, unpacked.
@@ -126,18 +127,18 @@ def options_of(content: bytes) -> KeyPointOptions:
     return options
 
 
-def seconds_for(found: KeyPoints, options: KeyPointOptions) -> int:
+def seconds_for(found: KeyPoints, options: KeyPointOptions, model: mujoco.MjModel) -> int:
     """The processor time that solving may take. Raises BadClips for a recording that is too long."""
     num_frames, num_points = found.points.shape[:2]
     num_points = len(options.points) if options.points else num_points
-    of_a_frame = _SECONDS_A_FRAME + num_points * _SECONDS_A_POINT
+    of_a_frame = _SECONDS_A_FRAME + num_points * _SECONDS_A_POINT + model.nv**2 * _SECONDS_A_SQUARE
     fitted = _OF_FITTED * options.fit_offsets * min(num_frames, FITTED_FRAMES)
     seconds = round((num_frames + fitted) * of_a_frame)
     if seconds > MOST_SOLVING_S:
         most = max(0, int(MOST_SOLVING_S / of_a_frame) - fitted)
         raise BadClips(
-            f"The recording has {num_frames:,} frames; of {num_points} key points and with `fit_offsets` "
-            f"{options.fit_offsets}, {most:,} are solved at most. Cut it into several files."
+            f"The recording has {num_frames:,} frames; for this body, with {num_points} key points and "
+            f"`fit_offsets` {options.fit_offsets}, {most:,} are solved at most. Cut it into several files."
         )
     return seconds
 

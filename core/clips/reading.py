@@ -74,7 +74,7 @@ def read(  # All but the file and the body are named.
     if isinstance(found, KeyPoints):
         options = options or key_points.KeyPointOptions.model_validate({})
         rate = _rate(found, rate)
-        allow(key_points.seconds_for(found, options))
+        allow(key_points.seconds_for(found, options, model))
         solved = key_points.solved(found, options, model, rate=rate, name=name, begin=begin)
         clip = with_velocities(solved.clip)
         if wrong := numeric_problems(clip):

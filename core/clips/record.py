@@ -11,7 +11,7 @@ from core.uploads.record import Upload, UploadKind, UploadStore
 # What a worker makes of a file: the clips as trainings read them, and a replay of some with its scene.
 ARCHIVE, REPLAY, SCENE = "clips.npz", "replay.bin", "scene.glb"
 MOST_REPLAYED = 32
-# The processor time that a worker gives a recording of key points: 14 minutes of 23 at 50 frames a second.
+# The processor time that a worker gives a recording of key points: 13 minutes of a rat at 50 frames a second.
 MOST_SOLVING_S = 500
 
 
