@@ -281,8 +281,8 @@ def test_columns_that_are_joints_are_no_key_points(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("num_points", "rounds", "most"),
-    # 500 s / (5 ms + 0.05 ms a point + 0.0012 ms · 13² degrees of freedom); a round of offsets takes five frames
-    # for each of the 100 that they are fitted to.
+    # 500 s / (5 ms + 0.05 ms a point + 0.0012 ms · 13² degrees of freedom). A round of offsets takes five
+    # frames for each of the 100 that they are fitted to.
     [(23, 2, 77_705), (3, 0, 93_409), (3, 20, 83_409)],
 )
 def test_a_recording_has_a_budget_of_frames(
