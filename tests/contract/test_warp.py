@@ -8,7 +8,6 @@ import pytest
 
 from core.environments import catalog
 from core.errors import JobFailed
-from core.physics import warp_buffers
 from core.physics.capacity import Capacity
 from core.physics.choose import engine_builder
 from core.physics.engine import OVERFLOW, PhysicsState
@@ -31,7 +30,7 @@ pytestmark = [pytest.mark.extra, pytest.mark.usefixtures("warp_kernels")]
 def balls(heights: list[float], room: Capacity | None, monkeypatch: pytest.MonkeyPatch) -> PhysicsState:
     """Balls let go at these heights, after one control step, in buffers of this size."""
     if room is not None:
-        monkeypatch.setattr(warp_buffers, "capacity", lambda demand, num_worlds: room)
+        monkeypatch.setattr("core.physics.warp_buffers.capacity", lambda demand, num_worlds: room)
     model = mujoco.MjModel.from_xml_string(BALL)
     engine = engine_builder("warp")(model, 1, ("xpos",))
     qpos = jnp.asarray([[0, 0, height, 1, 0, 0, 0] for height in heights], jnp.float32)

@@ -5,16 +5,29 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-import warp as wp
-from mujoco.mjx.third_party import mujoco_warp as mjw
 
-from core.physics.warp_step import Substep, load_kernels
 from tests.contract.test_warp import BALL
 
 pytestmark = [pytest.mark.extra, pytest.mark.usefixtures("warp_kernels")]
 
 
-def balls() -> tuple[Any, Any]:
+@pytest.fixture
+def mjw() -> Any:
+    """MuJoCo Warp. Loading it takes seconds, also where these tests are only collected."""
+    from mujoco.mjx.third_party import mujoco_warp
+
+    return mujoco_warp
+
+
+@pytest.fixture
+def warp_step() -> Any:
+    """What is tested, which loads MuJoCo Warp."""
+    from core.physics import warp_step
+
+    return warp_step
+
+
+def balls(mjw: Any) -> tuple[Any, Any]:
     """A model, and three worlds of it that are pushed with different forces."""
     model = mujoco.MjModel.from_xml_string(BALL)
     device_model = mjw.put_model(model)
@@ -24,10 +37,10 @@ def balls() -> tuple[Any, Any]:
     return device_model, data
 
 
-def test_the_order_of_a_substep_changes_no_bit() -> None:
-    model, data = balls()
-    _, reference = balls()
-    substep = Substep(model, data.qpos.device, reads_sensors=False)
+def test_the_order_of_a_substep_changes_no_bit(mjw: Any, warp_step: Any) -> None:
+    model, data = balls(mjw)
+    _, reference = balls(mjw)
+    substep = warp_step.Substep(model, data.qpos.device, reads_sensors=False)
     for _ in range(250):  # 0.5 s: the balls have fallen 0.9 m to the floor
         substep(data)
         mjw.step(model, reference)
@@ -36,41 +49,46 @@ def test_the_order_of_a_substep_changes_no_bit() -> None:
         np.testing.assert_array_equal(getattr(data, name).numpy(), getattr(reference, name).numpy())
 
 
-def test_in_sequence_a_substep_leaves_the_devices_stream_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_in_sequence_a_substep_leaves_the_devices_stream_alone(
+    mjw: Any, warp_step: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Kernels are loaded beside JAX's calls, and a device has one stream for all threads."""
-    model, data = balls()
-    _, reference = balls()
-    substep = Substep(model, data.qpos.device, reads_sensors=False)
+    model, data = balls(mjw)
+    _, reference = balls(mjw)
+    substep = warp_step.Substep(model, data.qpos.device, reads_sensors=False)
     # As on a GPU, where changing to a stream is seen: a CPU has none, and this is none for a GPU.
     monkeypatch.setattr(substep, "_streams", [None, None])
     with pytest.raises((RuntimeError, AttributeError), match=r"not a CUDA device|cached_event"):
         substep(reference)
     substep(data, in_sequence=True)
-    _, reference = balls()
+    _, reference = balls(mjw)
     mjw.step(model, reference)
     np.testing.assert_array_equal(data.qvel.numpy(), reference.qvel.numpy())
 
 
-def test_a_model_whose_sensors_are_read_takes_the_librarys_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    model, data = balls()
+def test_a_model_whose_sensors_are_read_takes_the_librarys_step(
+    mjw: Any, warp_step: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, data = balls(mjw)
     stepped: list[Any] = []
     monkeypatch.setattr(mjw, "step", lambda model, data: stepped.append(data))
-    Substep(model, data.qpos.device, reads_sensors=True)(data)
+    warp_step.Substep(model, data.qpos.device, reads_sensors=True)(data)
     assert stepped == [data]
 
 
-@wp.kernel
-def count(number: wp.array[wp.float32]) -> None:
-    number[wp.tid()] += 1.0
+def test_loading_the_kernels_of_a_program_runs_none_of_them(warp_step: Any) -> None:
+    import warp as wp
 
+    @wp.kernel
+    def count(number: wp.array[wp.float32]) -> None:
+        number[wp.tid()] += 1.0
 
-def test_loading_the_kernels_of_a_program_runs_none_of_them() -> None:
     number, device, launch = wp.zeros(1, dtype=wp.float32), wp.get_device("cpu"), wp.launch
 
     def program() -> None:
         wp.launch(count, dim=1, inputs=[number])
 
-    load_kernels([program], device)
+    warp_step.load_kernels([program], device)
     assert number.numpy()[0] == 0
     assert wp.launch is launch
     assert count.module.execs  # it is loaded,

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
-import scipy.io  # pyright: ignore[reportMissingTypeStubs]
 
 from core.clips.formats import hdf5
 from core.clips.formats.recording import LONGEST_NAME, MOST_NUMBERS, check_text, number, numbers, strings
@@ -101,6 +100,9 @@ def _names_in(file: Mapping[str, Any], number: int) -> tuple[str, ...] | None:
 
 def of_matlab(path: Path) -> KeyPoints | None:
     """The key points of a MATLAB file up to version 7; None: it has none. Raises BadClips."""
+    # Only these files need it, and it takes half a second to load.
+    import scipy.io  # pyright: ignore[reportMissingTypeStubs]
+
     try:
         return of_arrays(scipy.io.loadmat(path, variable_names=(*_POINTS, *_RATES)))
     except BadClips:

@@ -10,7 +10,6 @@ import h5py
 import mujoco
 import numpy as np
 import pytest
-import scipy.io
 
 from core.clips import key_points
 from core.clips.formats import key_points as key_points_of
@@ -73,6 +72,8 @@ def deeplabcut(path: Path, points: Any) -> None:
 
 
 def dannce(path: Path, points: Any) -> None:
+    import scipy.io
+
     scipy.io.savemat(path, {"pred": points.transpose(0, 2, 1) * 1000, "sampleID": np.arange(len(points))})
 
 

@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import brax.base
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from mujoco import mjx
 
 from core.environments import catalog
 from core.environments.environment import Environment
@@ -24,10 +22,6 @@ from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.engine import PhysicsState
 from tests.extra import extra
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # Brax tells everybody that its environments are not maintained
-    from brax import envs
 
 BRAX_NAMES = {"half_cheetah": "halfcheetah"}
 BRAXS = [name for name in catalog.BUILT_IN if f"brax/{BRAX_NAMES.get(name, name)}" in catalog.ENVIRONMENTS]
@@ -53,6 +47,8 @@ class Frames:
 
 
 def frames(model: mujoco.MjModel, physics: PhysicsState) -> Frames:
+    import brax.base
+
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = physics.qpos, physics.qvel
     mujoco.mj_forward(model, data)
@@ -72,7 +68,16 @@ def frames(model: mujoco.MjModel, physics: PhysicsState) -> Frames:
     )
 
 
+def brax_envs() -> Any:
+    """Brax's environments, with MJX and Warp, which take seconds to load."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Brax tells everybody that its environments are not maintained
+        from brax import envs
+    return envs
+
+
 def braxs(environment_id: str) -> Any:
+    envs = brax_envs()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return envs.get_environment(BRAX_NAMES.get(environment_id, environment_id), backend="mjx")
@@ -102,7 +107,7 @@ def test_an_environment_does_what_braxs_does(environment_id: str) -> None:
     assert float(theirs.dt) == pytest.approx(ours.dt)
     assert theirs.action_size == ours.action_size
     state, step = ours.reset(jax.random.key(3)), jax.jit(ours.step)
-    their_state = envs.State(
+    their_state = brax_envs().State(
         pipeline_state=frames(ours.model, state.physics),
         obs=state.obs,
         reward=jnp.zeros(()),
@@ -139,6 +144,9 @@ def test_a_model_is_the_one_that_brax_steps(environment_id: str) -> None:
 @pytest.mark.filterwarnings("ignore:Accessing:DeprecationWarning")  # Brax reads MJX by old names
 def test_the_ant_on_mjx_is_braxs_ant_on_mjx() -> None:
     """The whole of it once, Brax's physics included; Brax is asked for frames that are not a substep old."""
+    import brax.base
+    from mujoco import mjx
+
     ours, theirs = make("ant", "mjx"), braxs("ant")
     plain_step = theirs.pipeline_step
 
@@ -150,7 +158,7 @@ def test_the_ant_on_mjx_is_braxs_ant_on_mjx() -> None:
     theirs.pipeline_step = pipeline_step
     state = jax.jit(ours.reset)(jax.random.key(3))
     zero = jnp.zeros(())
-    their_state = envs.State(
+    their_state = brax_envs().State(
         pipeline_state=jax.jit(theirs.pipeline_init)(state.physics.qpos, state.physics.qvel),
         obs=state.obs,
         reward=zero,
