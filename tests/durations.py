@@ -27,7 +27,7 @@ BUDGETS: dict[str, float] = {
     "api": 175,
     "api/pages": 220,
     "mujoco_compiled": 160,
-    "unit/algorithms": 110,
+    "unit/algorithms": 85,
     "contract": 135,
     "unit/rendering": 62,
     "unit/embedded": 60,
