@@ -144,20 +144,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("page", "gallery", "film"))
     parser.add_argument("folder", type=Path)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"gallery: of {', '.join(SHOWN)}")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"film: of the catalog; gallery: of {', '.join(SHOWN)}"
+    )
     parser.add_argument("--policy", type=Path, help="film: a checkpoint's policy")
     parser.add_argument("--clip", type=Path, help="film: of a body that follows clips")
+    parser.add_argument("--episodes", type=int, default=1, metavar="N", help="film: how many")
     arguments = parser.parse_args()
-    if unknown := [name for name in arguments.names if name not in SHOWN]:
-        parser.error(f"There is no picture {unknown[0]!r}; there are {', '.join(SHOWN)}.")
     if arguments.what == "film":
         if len(arguments.names) != 1 or arguments.policy is None:
             parser.error("film takes one NAME and a --policy.")
         [name] = arguments.names
-        frames = _acted(SHOWN[name], arguments.policy, arguments.clip)
+        shown = SHOWN.get(name) or Shown({"environment": name}, num_episodes=arguments.episodes)
+        frames = _acted(shown, arguments.policy, arguments.clip)
         does = "run" if arguments.clip is None else "imitates"
         _keep_film(frames, arguments.folder / f"{name}-{does}.webp")
         return
+    if unknown := [name for name in arguments.names if name not in SHOWN]:
+        parser.error(f"There is no picture {unknown[0]!r}; there are {', '.join(SHOWN)}.")
     with running_parts(workers=1) as parts, Client(parts.url) as client:
         if arguments.what == "page":
             with chromium("--enable-unsafe-swiftshader") as browser:
