@@ -144,9 +144,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("page", "gallery", "film"))
     parser.add_argument("folder", type=Path)
-    parser.add_argument(
-        "names", nargs="*", metavar="NAME", help=f"film: of the catalog; gallery: of {', '.join(SHOWN)}"
-    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"gallery: of {', '.join(SHOWN)}")
     parser.add_argument("--policy", type=Path, help="film: a checkpoint's policy")
     parser.add_argument("--clip", type=Path, help="film: of a body that follows clips")
     parser.add_argument("--episodes", type=int, default=1, metavar="N", help="film: how many")
