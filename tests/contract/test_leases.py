@@ -37,6 +37,32 @@ class TestLeases:
         database.end_lease(claimed)
         assert list(jobs.expired()) == [claimed]
 
+    @pytest.mark.parametrize("comes", ["a claim", "a cancel"])
+    @pytest.mark.parametrize("attempts_before", [0, 1])
+    def test_who_knows_a_lost_claim_changes_nothing_of_what_came_in_its_place(
+        self, jobs: JobStore, comes: str, attempts_before: int
+    ) -> None:
+        job = queued_job()
+        if attempts_before:
+            job = taken_back(held(jobs, job))
+            jobs.save(job)
+        else:
+            jobs.add(job)
+        lost = job.claimed("worker-2", NOW)
+        came = job.claimed("worker-3", NOW) if comes == "a claim" else cancelled(job)
+        jobs.save(came)
+        assert came.version == lost.version
+        for stale in (
+            lost.noted(device="cpu"),
+            lost.running(device="cpu"),
+            lost.become(JobStatus.CANCELLING),
+            lost.requeued(Reason.WORKER_DRAINED, "Shut down.", NOW),
+            lost.ended(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done.", NOW),
+        ):
+            with pytest.raises(StaleJob):
+                jobs.save(stale)
+        assert jobs.get(job.id) == came
+
     def test_a_lease_ends_by_the_clock_of_the_store(self, jobs: JobStore, database: Database) -> None:
         job = queued_job()
         jobs.add(job)

@@ -3,7 +3,7 @@
 import signal
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from typing import Any
@@ -46,11 +46,11 @@ class Outages:
         with psycopg.connect(
             self._server.admin_url.replace("/gaitway?", "/postgres?"), autocommit=True
         ) as admin:
-            admin.execute(f"CREATE DATABASE {name} TEMPLATE gaitway")
+            admin.execute(f"CREATE DATABASE {name} TEMPLATE gaitway".encode())
         return self._server.admin_url.replace("/gaitway?", f"/{name}?")
 
     @contextmanager
-    def silence(self) -> Iterator[None]:
+    def silence(self) -> Generator[None]:
         """Within this it takes connections and says nothing: every process of it is stopped."""
         server = psutil.Process(self._server.process.pid)
         server.suspend()  # First the one that would start others.
@@ -66,13 +66,36 @@ class Outages:
                     process.resume()
 
     @contextmanager
-    def absence(self) -> Iterator[None]:
+    def absence(self) -> Generator[None]:
         """Within this nobody answers."""
         self._server.stop()
         try:
             yield
         finally:
             self._server.start()
+
+    @contextmanager
+    def crash(self) -> Generator[None]:
+        """Within this nothing writes the log but a commit that waits for it; then every process is killed.
+
+        Returns when it has started again.
+        """
+        server = psutil.Process(self._server.process.pid)
+        for process in server.children():
+            if any(name in " ".join(process.cmdline()) for name in _WRITERS):
+                process.suspend()
+        try:
+            yield
+        finally:
+            for process in (server, *server.children()):
+                with suppress(psutil.NoSuchProcess):  # One whose server has gone ends by itself.
+                    process.kill()
+            self._server.stop()
+            self._server.start()
+
+
+# As PostgreSQL names its processes that write on their own account.
+_WRITERS = ("walwriter", "checkpointer", "background writer", "autovacuum")
 
 
 class NullWorker:

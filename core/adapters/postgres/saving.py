@@ -18,6 +18,7 @@ from sqlalchemy import (
     Integer,
     Table,
     Text,
+    and_,
     bindparam,
     case,
     cast,
@@ -25,6 +26,7 @@ from sqlalchemy import (
     delete,
     exists,
     func,
+    or_,
     select,
     true,
     update,
@@ -66,9 +68,17 @@ def _save(*conditions: ColumnElement[bool], is_claim: bool = False) -> DriverSta
     )
     drains = case((jobs.c.token == changed["token"], jobs.c.yields_to))
     more = {"lease_until": kept, "yields_to": drains, "num_events": jobs.c.num_events + num_told}
+    # A claim that is lost with the server has made a version of which its writer still knows: whoever comes
+    # then makes another one of the same number.
+    last_token, num_before = bindparam("last_token", type_=Text), bindparam("num_before", type_=Integer)
+    is_open = and_(jobs.c.token == "", jobs.c.num_attempts >= num_before)
+    is_the_one_before = and_(
+        jobs.c.version == bindparam("version_before", type_=Integer),
+        or_(jobs.c.token == last_token, is_open),
+    )
     saved = (
         update(jobs)
-        .where(jobs.c.id == _ID, jobs.c.version == bindparam("version_before", type_=Integer), *conditions)
+        .where(jobs.c.id == _ID, is_the_one_before, *conditions)
         .values({**changed, **more})
         .returning(jobs.c.id, (jobs.c.num_events - num_told).label("last_before"))
         .cte("saved")
@@ -172,10 +182,13 @@ def _values(job: Job, before: JobStatus, lease: timedelta | None, note: str | No
     told = [] if before == job.status else [status_entry(job)]
     told += [] if note is None else [note_entry(note)]
     used, charged = usage.of_change(job, before)
+    is_claim = before == JobStatus.QUEUED and job.status == JobStatus.STARTING
     return {
         **{f"new_{name}": value for name, value in rows.job_values(job).items()},
         "saved": job.id,
         "version_before": job.version - 1,
+        "last_token": job.attempts[-1].token if job.attempts else "",
+        "num_before": len(job.attempts) - is_claim,
         "lease": None if lease is None else rows.interval(lease),
         "num_told": len(told),
         "is_taken": job.status != JobStatus.QUEUED,
