@@ -8,15 +8,18 @@ from typing import Any
 
 import pytest
 import redis
-from sqlalchemy import text
+from psycopg.errors import DivisionByZero, UndefinedTable
+from sqlalchemy import Connection, text
 
 from core.accounts.store import Actor
+from core.adapters.postgres import turns
 from core.adapters.postgres.engine import DriverStatement, connect_postgres
+from core.adapters.postgres.rows import find_job
 from core.adapters.postgres.store import PostgresJobStore
 from core.adapters.postgres.turns import running_query
 from core.adapters.rq.queue import RQQueue
 from core.jobs.attempts import Claim, claim_turn, new_secret
-from core.jobs.job import Job
+from core.jobs.job import Job, UnreadableJob
 from core.jobs.pools import NothingFits, Offer
 from core.jobs.queue import queue_name, queue_names
 from core.jobs.reconciliation import Reconciler
@@ -26,7 +29,7 @@ from core.jobs.status import JobStatus
 from core.jobs.turns import Quota
 from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
-from tests.contract.recording import LEASE, NOW, Database, cancelled
+from tests.contract.recording import LEASE, NOW, Database, cancelled, taken_back
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 
 _NUMBERS = count()
@@ -306,6 +309,28 @@ def test_the_settings_of_a_statement_are_gone_with_its_transaction(database_url:
     engine.dispose()
 
 
+@pytest.mark.parametrize("isolation", ["AUTOCOMMIT", "READ COMMITTED"])
+@pytest.mark.parametrize("fails", ["SELECT 1 / 0", "SELECT * FROM missing"])
+@pytest.mark.parametrize("are_settings", [False, True])
+def test_a_statement_that_fails_leaves_its_connection_fit_for_others(
+    database_url: str, isolation: str, fails: str, are_settings: bool
+) -> None:
+    works = DriverStatement(text("SELECT 2 AS two"), "SELECT 3")
+    failing = (
+        DriverStatement(text("SELECT 1"), fails) if are_settings else DriverStatement(text(fails), "SELECT 3")
+    )
+    engine = connect_postgres(database_url, pool_size=1).execution_options(isolation_level=isolation)
+    servers = set[int]()
+    for _ in range(2):
+        with pytest.raises((DivisionByZero, UndefinedTable)), engine.begin() as connection:
+            failing.rows(connection, {})
+        with engine.begin() as connection:
+            assert works.rows(connection, {}) == [{"two": 2}]
+            servers.add(connection.execute(text("SELECT pg_backend_pid()")).scalar_one())
+    assert len(servers) == 1
+    engine.dispose()
+
+
 def test_a_claim_whose_answer_was_lost_is_the_same_again(job_store: PostgresJobStore) -> None:
     add(job_store)
     add(job_store)
@@ -313,6 +338,25 @@ def test_a_claim_whose_answer_was_lost_is_the_same_again(job_store: PostgresJobS
     assert first is not None
     assert again is not None
     assert (again.job_id, again.token) == (first.job_id, first.token)
+
+
+def test_a_claim_whose_answer_was_lost_and_that_ended_meanwhile_is_another_one(
+    job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = add(job_store), add(job_store)
+    take(job_store, secret="mine")
+
+    def after_it_was_taken_back(connection: Connection, job_id: str) -> Job | UnreadableJob:
+        job = job_store.get(job_id)
+        if job_id == first.id and job.token:
+            job_store.save(taken_back(job))
+        return find_job(connection, job_id)
+
+    monkeypatch.setattr(turns, "find_job", after_it_was_taken_back)
+    claim = take(job_store, secret="mine")
+    assert claim is not None
+    assert (claim.job_id, claim.token) == (second.id, "1-mine")
+    assert job_store.get(first.id).status == JobStatus.QUEUED
 
 
 def test_of_many_who_ask_at_once_each_gets_another_job(job_store: PostgresJobStore) -> None:

@@ -151,8 +151,11 @@ class TurnQueries(Session):
         asked = {"queues": list(queues), "but_not": [], "told": told, "held": list(HELD)}
 
         def take(connection: Connection, found: Values) -> Job | None:
-            if mine := [row["id"] for row in found["started"] if row["token"].endswith(f"-{secret}")]:
-                return readable(find_job(connection, mine[0]))  # The answer to an earlier call was lost.
+            for row in found["started"]:
+                if row["token"].endswith(f"-{secret}"):  # The answer to an earlier call was lost.
+                    job = readable(find_job(connection, row["id"]))
+                    if job.token == row["token"]:  # It was not taken back meanwhile.
+                        return job
             claim_now = partial(claim, now=found["moment"])
             return _take(connection, asked, facts_of(found), find, claim_now, offer)
 
