@@ -51,6 +51,10 @@ _NO_DATABASE = (
     f"PostgreSQL has no database with the name at the end of {_ADDRESS}: create it (createdb), or name "
     "another."
 )
+_POOLED = (
+    f"{_ADDRESS} leads to a pooler that gives one session several servers: let it work by sessions "
+    "(PgBouncer: pool_mode = session)."
+)
 _MISSING = re.compile(r'(database|role) ".*" does not exist')
 _REFUSED_BY_CODE: dict[type[psycopg.Error], str] = {
     errors.InvalidPassword: _REFUSALS["password authentication failed"],
@@ -59,6 +63,8 @@ _REFUSED_BY_CODE: dict[type[psycopg.Error], str] = {
     "the database (ALTER DATABASE … OWNER TO …).",
     errors.ReadOnlySqlTransaction: f"{_ADDRESS} leads to a standby, which takes no writes: set it to its "
     "primary's address, or end it with ?target_session_attrs=read-write.",
+    errors.InvalidSqlStatementName: _POOLED,
+    errors.DuplicatePreparedStatement: _POOLED,
 }
 _UNAVAILABLE_BY_CODE: dict[type[psycopg.Error], str] = {
     errors.UndefinedTable: "The database has no tables yet: the reconciler makes them when it starts.",

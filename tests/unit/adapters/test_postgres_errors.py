@@ -167,6 +167,14 @@ class TestAccess:
         with server.allowed("ALL ON workers"), server.limited("SET default_transaction_read_only = on"):
             refused("leads to a standby", server.as_user("guest"), run("DELETE FROM workers"))
 
+    @pytest.mark.parametrize(
+        "statement", ["EXECUTE prepared_elsewhere", "PREPARE twice AS SELECT 1; PREPARE twice AS SELECT 1"]
+    )
+    def test_a_pooler_that_changes_servers_within_a_session_is_named(
+        self, server: Server, statement: str
+    ) -> None:
+        refused("let it work by sessions", server.url, run(statement))
+
     def test_a_user_with_no_connection_left_waits_for_one(self, server: Server) -> None:
         url = server.as_user("guest")
         with psycopg.connect(url), server.limited("CONNECTION LIMIT 1"):
