@@ -34,7 +34,7 @@ SMALL: dict[str, Any] = {
     "kind": "train",
     "environment": "inverted_pendulum",
     "algorithm": {
-        "num_timesteps": 256_000,
+        "num_timesteps": 512_000,
         "num_envs": 64,
         "unroll_length": 10,
         "batch_size": 16,
@@ -105,20 +105,20 @@ def rolled_out(client: Client, trained: JobView, **own: Any) -> JobView:
 def final_checkpoint(job: JobView) -> str:
     found = job.newest("checkpoint")
     assert found is not None
-    assert found.step == 256_000
+    assert found.step == 512_000
     return found.sha256
 
 
 def test_a_job_goes_from_post_to_its_video(client: Client, undisturbed: JobView, tmp_path: Path) -> None:
     assert (undisturbed.status, undisturbed.reason) == ("succeeded", "completed")
-    assert undisturbed.progress.step == undisturbed.progress.total == 256_000
+    assert undisturbed.progress.step == undisturbed.progress.total == 512_000
     video = client.video(undisturbed.id, tmp_path / "video.mp4")
     with av.open(str(video)) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.width, stream.height) == ("h264", 160, 120)
         assert sum(1 for _ in container.decode(stream)) == 30
     assert {a.role for a in undisturbed.artifacts} == KEPT
-    assert [a.step for a in client.checkpoints(undisturbed.id)] == [51_200 * i for i in range(1, 6)]
+    assert [a.step for a in client.checkpoints(undisturbed.id)] == [51_200 * i for i in range(1, 11)]
 
 
 def test_its_policy_acts_elsewhere_as_it_does_here(
@@ -164,7 +164,7 @@ def test_the_log_tells_the_story_of_a_training(client: Client, undisturbed: JobV
         "Engine: native. ",
         "mujoco 3.",
         "commit ",
-        "Settings that the job names: num_timesteps=256000, num_envs=64",
+        "Settings that the job names: num_timesteps=512000, num_envs=64",
         "Settings that were filled in: ",
         "Compiled in ",
         "Step 256,000: return ",
