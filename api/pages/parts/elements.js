@@ -7,6 +7,12 @@ import { href } from "../lib/route.js";
 export const Prose = ({ text }) =>
   html`${text.split("`").map((part, number) => (number % 2 ? html`<code>${part}</code>` : part))}`;
 
+/** What a worker said of a file that was sent, or that none has read it yet. */
+export function Said({ file }) {
+  const text = file.message || (file.status === "validating" && "No worker has read it yet; a busy one does so after its job.");
+  return text && html`<p class=${file.status === "refused" ? "error" : "facts"}><${Prose} text=${text} /></p>`;
+}
+
 export const Loading = ({ what }) => html`<p class="state" role="status">Loading ${what}…</p>`;
 
 export const Empty = ({ children }) => html`<div class="state">${children}</div>`;

@@ -5,7 +5,7 @@ import { ago, bytes, count } from "../lib/format.js";
 import { html, useEffect, useId, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { change } from "../lib/route.js";
-import { Confirm, Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
+import { Confirm, Empty, Failure, Loading, Pages, Prose, Said } from "../parts/elements.js";
 import { Player } from "../parts/replay/player.js";
 import { ProjectChoice, whose } from "../parts/whose.js";
 
@@ -84,7 +84,7 @@ function File({ file, query, again }) {
     <h2>${file.name || file.id}</h2>
     <p class="facts"><span class="status ${file.status === "ready" ? "succeeded" : file.status === "refused" ? "failed" : ""}">${file.status}</span>
       ${` · ${file.body.slice(0, 20)} · ${bytes(file.size)} · ${ago(file.created_at)}${whose(file)}`}</p>
-    ${file.message && html`<p class=${file.status === "refused" ? "error" : "facts"}><${Prose} text=${file.message} /></p>`}
+    <${Said} file=${file} />
     ${found && html`<${Listed} found=${found} />`}
     ${found?.no_replay && html`<p class="facts">There is no replay. ${found.no_replay}</p>`}
     ${file.links.replay && !shown && html`<p><button type="button" onClick=${() => change({ show: file.id, clip: [] })}>Look at them</button></p>`}

@@ -5,7 +5,7 @@ import { ago, bytes, compact, duration, modelName, value } from "../lib/format.j
 import { html, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { href } from "../lib/route.js";
-import { Confirm, Copy, Empty, Failure, Loading, Pages, Prose } from "../parts/elements.js";
+import { Confirm, Copy, Empty, Failure, Loading, Pages, Prose, Said } from "../parts/elements.js";
 import { ProjectChoice, whose } from "../parts/whose.js";
 
 const LIMIT = 50;
@@ -81,7 +81,7 @@ function Model({ model, again }) {
     <h2>${modelName(model)}</h2>
     <p class="facts"><span class="status ${model.status === "ready" ? "succeeded" : model.status === "refused" ? "failed" : ""}">${model.status}</span>
       ${` · ${bytes(model.size)} · ${ago(model.created_at)}${whose(model)}`}</p>
-    ${model.message && html`<p class="error"><${Prose} text=${model.message} /></p>`}
+    <${Said} file=${model} />
     ${found && html`<${Owned} found=${found} />`}
     <p class="actions">
       ${found?.recipe && html`<a class="button" href=${href(["submit"], { job: JSON.stringify(walkingJob(model)) })}>Let it walk by command</a>`}

@@ -35,6 +35,12 @@ def test_clips_are_sent_described_and_deleted(tab: Tab, stack: Stack) -> None:
     expect(page.get_by_text("No clips yet.")).to_be_visible()
 
 
+def test_clips_that_no_worker_has_read_say_so(tab: Tab, stack: Stack) -> None:
+    send(stack.http, name="walks")
+    card = tab.open("#/clips").get_by_role("region", name="walks")
+    expect(card.get_by_text("No worker has read it yet; a busy one does so after its job.")).to_be_visible()
+
+
 def test_refused_clips_say_why(tab: Tab, stack: Stack) -> None:
     page = tab.open("#/clips")
     with worker(stack, status="refused", message="The file gives no rate: send `rate`."):
