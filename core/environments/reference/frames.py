@@ -49,11 +49,11 @@ def frames_of(
     num_frames = sum(one.num_frames for one, _ in chosen)
     if (why := too_many_frames(num_frames, model.nq, model.nv, len(followed.bodies))) is not None:
         raise _bad(why)
-    parts = [_frames(one, model, followed, pose) for one, _ in chosen]
+    parts, activations = zip(*(_frames(one, model, followed, pose) for one, _ in chosen), strict=True)
     lengths = np.array([len(part.qpos) for part in parts])
     return Frames(
         frames=Frame(*(np.concatenate(rows).astype(np.float32) for rows in zip(*parts, strict=True))),
-        activations=np.concatenate([_at_rest(part.qpos, model) for part in parts]).astype(np.float32),
+        activations=np.concatenate(activations).astype(np.float32),
         names=distinct([one.name for one, _ in chosen]),
         weights=np.array([weight for _, weight in chosen]),
         starts=np.concatenate([[0], np.cumsum(lengths)[:-1]]),
@@ -104,24 +104,32 @@ def _changed(clip: Clip, choice: ClipChoice, rate: float, model: mujoco.MjModel)
     return replace(clip, name=called(clip.name, choice))
 
 
-def _frames(clip: Clip, model: mujoco.MjModel, followed: Followed, pose: np.ndarray) -> Frame:
-    """The rows of one clip, [T, …]. It has velocities."""
+def _frames(
+    clip: Clip, model: mujoco.MjModel, followed: Followed, pose: np.ndarray
+) -> tuple[Frame, np.ndarray]:
+    """The rows of one clip, [T, …], which has velocities, and the states of actuators there, [T, na]."""
     qpos, qvel = _states(clip, model, followed, pose)
     data, rows = mujoco.MjData(model), list[tuple[np.ndarray, ...]]()
+    actuator_lengths = np.empty((len(qpos), model.nu))
     bodies = followed.bodies
-    for positions, velocities in zip(qpos, qvel, strict=True):
+    for positions, velocities, actuator_length in zip(qpos, qvel, actuator_lengths, strict=True):
         data.qpos[:], data.qvel[:] = positions, velocities
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_transmission(model, data)
         mujoco.mj_comVel(model, data)
+        actuator_length[:] = data.actuator_length
         derived = {"cvel": data.cvel, "xpos": data.xpos, "subtree_com": data.subtree_com}
         rows.append((data.xpos[bodies], data.xquat[bodies], *followed.velocities(derived, np)))
-    return Frame(qpos, qvel, *(np.stack(parts) for parts in zip(*rows, strict=True)))
+    frame = Frame(qpos, qvel, *(np.stack(parts) for parts in zip(*rows, strict=True)))
+    return frame, _at_rest(actuator_lengths, model)
 
 
-def _at_rest(qpos: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
+def _at_rest(lengths: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
     """States of actuators [T, na] in which position servos that follow their control slowly exert no force at
-    qpos [T, nq]; 0 of all others. Recordings lack them, and from 0 such servos pull towards their own zeros.
+    these actuator lengths [T, nu]; 0 of all others. Recordings lack them, and from 0 such servos pull towards
+    their own zeros.
     """
     first, gain, bias = model.actuator_actadr, model.actuator_gainprm[:, 0], model.actuator_biasprm
     is_servo = (first >= 0) & (model.actuator_actnum == 1) & (gain != 0)
@@ -132,12 +140,9 @@ def _at_rest(qpos: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
     low, high = model.actuator_ctrlrange[servos].T
     limited = model.actuator_ctrllimited[servos] == 1
     low, high = np.where(limited, low, -np.inf), np.where(limited, high, np.inf)
-    data, activations = mujoco.MjData(model), np.zeros((len(qpos), model.na))
-    for positions, row in zip(qpos, activations, strict=True):
-        data.qpos[:] = positions
-        mujoco.mj_fwdPosition(model, data)
-        force = bias[servos, 0] + bias[servos, 1] * data.actuator_length[servos]
-        row[first[servos]] = np.clip(-force / gain[servos], low, high)
+    force = bias[servos, 0] + bias[servos, 1] * lengths[:, servos]
+    activations = np.zeros((len(lengths), model.na))
+    activations[:, first[servos]] = np.clip(-force / gain[servos], low, high)
     return activations
 
 
