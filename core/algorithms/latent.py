@@ -61,7 +61,7 @@ class LatentPoints:
         self._where.append(np.stack([number, episode.time[:-1], clip, share], 1, dtype=float)[chosen])
 
     def document(self) -> dict[str, Any] | None:
-        """What the picture is drawn from; None: there are no points.
+        """The points that the picture shows, as a document; None: there are none.
 
         `x`, `y`, `episode`, `time_s` have an entry for each point: its places along the two components, its
         episode and its time; for a body that follows clips also `clip`, its clip's number in `clips`, and

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Any, Generic, cast
+from typing import Any, Generic
 
 import jax
 import numpy as np
@@ -75,6 +75,11 @@ def make_run(  # noqa: PLR0913 - all of them are named
 def about_clips(state: Any) -> dict[str, Any]:
     """The fields of a state that begin again where a run resumes with other clips."""
     return {field.name: getattr(state, field.name) for field in fields(state) if field.name in OF_CLIPS}
+
+
+def begun_after(before: Any, begun: S) -> S:
+    """The first state of a run. before: of a run with other clips, from which it resumes; None: of none."""
+    return begun if before is None else replace(before, **about_clips(begun))
 
 
 class Run(Generic[S]):
@@ -223,9 +228,8 @@ class Run(Generic[S]):
         self._functions, phases = in_phases(partial(trace, self._algorithm))
         self._hosts.meet("compiled")
         if self._state is None:
-            begun = self._functions.init(self._seed)
-            before, self._learnt_before = cast("Any", self._learnt_before), None
-            self._state = begun if before is None else replace(before, **about_clips(begun))
+            self._state = begun_after(self._learnt_before, self._functions.init(self._seed))
+            self._learnt_before = None
         return self._functions, phases
 
     def _train(self, functions: CompiledFunctions[S], until: int) -> dict[str, float]:

@@ -19,7 +19,7 @@ from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.compiled_functions import CompiledFunctions, in_phases, trace_seeds
 from core.algorithms.events import BodyLost, Event, SeedDiverged, metric_of_seed
-from core.algorithms.run import TrainingLoop, about_clips, check_finite, diverged
+from core.algorithms.run import TrainingLoop, about_clips, begun_after, check_finite, diverged
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
 from core.errors import JobFailed
@@ -107,9 +107,8 @@ class SeedsRun(Generic[S]):
         """
         functions, phases = in_phases(partial(trace_seeds, self._algorithm, self._keys))
         if self._state is None:
-            begun = functions.init(self._keys)
-            before, self._learnt_before = cast("Any", self._learnt_before), None
-            self._state = begun if before is None else replace(before, **about_clips(begun))
+            self._state = begun_after(self._learnt_before, functions.init(self._keys))
+            self._learnt_before = None
         yield from phases
         try:
             for event in self._loop.events(

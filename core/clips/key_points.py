@@ -256,7 +256,7 @@ def _scale(
 
 
 def _facts(name: str, point: BodyPoint, solution: Solution, distances: Array) -> KeyPointFacts:
-    """What is reported of a key point. distances: [T] m, NaN in frames where it was not seen."""
+    """The facts that the record keeps of a key point. distances: [T] m, NaN in frames that do not show it."""
     seen = distances[np.isfinite(distances)]
     x, y, z = solution.offsets[name].round(6).tolist()
     return KeyPointFacts(

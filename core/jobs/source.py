@@ -18,8 +18,8 @@ from core.jobs.store import JobStore
 # ends. A checkpoint's arrays have the same shapes under any of them.
 _PAYING = ("reward", "weight", "cost")
 _OF_EPISODES = ("reset", "termination")
-# Of a `reference`, what a training may have otherwise than the job from which it resumes: with other clips an
-# observation means the same.
+# A training that resumes from another job may change these fields of its `reference`: with other clips, an
+# observation still means the same.
 _OF_CLIPS = ("clips", "sampling", "random_phase")
 _MOST_SHOWN = 100
 

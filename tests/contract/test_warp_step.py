@@ -21,7 +21,7 @@ def mjw() -> Any:
 
 @pytest.fixture
 def warp_step() -> Any:
-    """What is tested, which loads MuJoCo Warp."""
+    """The module under test. It loads MuJoCo Warp."""
     from core.physics import warp_step
 
     return warp_step

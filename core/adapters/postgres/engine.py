@@ -143,7 +143,7 @@ class DriverStatement:
         self._settings = settings
 
     def rows(self, connection: Connection, values: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """What it returns. values: by name; those that it has no parameter for are left out."""
+        """The rows that it returns. values: of its parameters, by name; it ignores other names."""
         driver: Any = connection.connection.driver_connection
         given = {**self._constants, **values}
         ordered = [given[name] for name in self._order]

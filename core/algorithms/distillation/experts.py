@@ -19,8 +19,8 @@ from core.reasons import Reason
 
 
 class Seen(NamedTuple):
-    """What experts need of states: the environment's observation, and the number of the expert that answers
-    in each, [N]."""
+    """States as experts see them. observation: the environment's. expert: [N], the number of the expert that
+    answers in each state."""
 
     observation: Any
     expert: jax.Array
@@ -77,7 +77,7 @@ class Experts:
         return Seen(state.obs, jnp.asarray(self.of_row)[state.info[FRAME]])
 
     def actions(self, parameters: Sequence[Any], seen: Seen) -> jax.Array:
-        """What the expert of each state does there, [N, action_size]: the mode of its distribution.
+        """The actions [N, action_size]: for each state the mode of what the expert that answers would draw.
 
         parameters: those of the experts. Every expert answers in every state; `seen.expert` chooses.
         """

@@ -18,7 +18,7 @@ from core.errors import BadClips
 NAME = "key points"
 # How files of MATLAB begin: up to version 7, and from 7.3 on, which are HDF5.
 MATLAB, MATLAB_HDF5 = b"MATLAB 5", b"MATLAB 7.3"
-# What the arrays are called, in the order in which they are looked for.
+# Names of the arrays: of each line, the first one that a file has is read.
 _POINTS = ("key_points", "keypoints", "tracks", "pred", "points3d")
 _NAMES = ("names", "kp_names", "node_names", "keypoint_names")
 _RATES = ("rate", "fps")

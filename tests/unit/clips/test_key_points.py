@@ -258,7 +258,7 @@ def test_a_zip_is_one_recording_with_its_points(model: mujoco.MjModel, tmp_path:
         file.writestr("é/points.json", json.dumps({"points": POINTS}))
         file.write(tmp_path / "sent", "recording")
     whole = packed.read_bytes()
-    # Of the header of its first file, then of that file's name in the list at the end.
+    # First the header of its first file is damaged, then that file's name in the list at the end.
     for damaged in (
         whole[:70] + b"\xff" * 40 + whole[110:],
         whole[::-1].replace(b"\xa9\xc3", b"\xff\xff", 1)[::-1],
