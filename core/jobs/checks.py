@@ -3,13 +3,14 @@
 from collections.abc import Collection, Iterator
 from itertools import islice
 
-from core.algorithms.battery.spec import follows_clips, follows_velocity
+from core.algorithms.battery.spec import can_be_tested
 from core.algorithms.catalog import reported
 from core.algorithms.memory import shown
 from core.algorithms.spec import BaseSpec, check_resumption
 from core.bounds import LARGEST_JOB_BYTES, MOST_PROBLEMS, json_bytes
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.randomization import FIELDS
+from core.environments.terms.page import task_of
 from core.environments.terms.randomized import Randomized
 from core.environments.terms.task import TaskOptions
 from core.environments.terms.terrain import BOX, MOST_BOXES
@@ -174,7 +175,8 @@ def _check_battery(spec: JobSpec, job: ResolvedJob) -> None:
     if spec.battery is None:
         return
     detail = None
-    if not follows_velocity(job.options) and not follows_clips(job.options):
+    task = task_of(job.info, job.options)
+    if task is None or not can_be_tested(task):
         detail = (
             f"A battery tests how well a policy follows velocity commands or clips, and {job.info.id} has "
             "neither: leave `battery` out, or give a task made of terms a `command` or a `reference`."

@@ -52,9 +52,11 @@ def test_a_rat_runs_a_corridor_by_the_decoder_of_its_tracker(client: Client, tmp
         algorithm={**ALGORITHM, "network": NETWORK},
         physics="native",
         video=None,
+        battery={"starts": 1},
     )
     tracker = client.wait(tracker.id, timeout=300)
     assert tracker.succeeded, tracker.message
+    assert [one["clip"] for one in client.battery(tracker.id)["clips"]] == ["rest"]
 
     action = {"kind": "decoder", "job": tracker.id}
     runner: dict[str, Any] = {

@@ -89,11 +89,11 @@ class BatteryWriter:
         return metrics_of(result)
 
     def _battery(self, policy: TrainedPolicy) -> Battery | ClipBattery:
-        options = cast("TaskOptions", self.built.job.options)
-        kind = Battery if options.reference is None else ClipBattery
+        task = cast("TaskOptions", self.built.task)
+        kind = Battery if task.reference is None else ClipBattery
         return kind(
-            lambda options: cast("TaskEnv", self.built.made_on("native", options)),
-            options,
+            lambda tested: cast("TaskEnv", self.built.doing(tested, "native")),
+            task,
             policy,
             self.battery,
         )

@@ -15,11 +15,11 @@ from typing import Any
 import jax
 
 from core.devices import gpu_indices
-from core.documents import Strict
 from core.environments import catalog
 from core.environments.environment import Environment, innermost
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.task import TaskEnv
+from core.environments.terms.page import task_of, with_task
 from core.environments.terms.task import TaskOptions, task_slices
 from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
@@ -108,10 +108,15 @@ class BuiltEnvironment:
         has = ", ".join(f"{name} {here[name]}" for name in differing)
         return f"The checkpoint was made with {had}; this worker has {has}. The run may go on differently."
 
-    def made_on(self, engine: EngineName, options: Strict) -> Environment:
-        """The body under these options, on another engine. Raises JobFailed."""
-        builder = engine_builder(engine)
-        return catalog.make(self.info, options, builder, self.model, self.clips, self.decoder)
+    @property
+    def task(self) -> TaskOptions | None:
+        """What the body does; None where no terms say so."""
+        return task_of(self.info, self.job.options)
+
+    def doing(self, task: TaskOptions, engine: EngineName) -> Environment:
+        """The body with another task of terms, on another engine. Raises JobFailed."""
+        info, options = with_task(self.info, self.job.options, task)
+        return catalog.make(info, options, engine_builder(engine), self.model, self.clips, self.decoder)
 
     def started(self, **details: Any) -> Started:
         """The facts on this attempt for the job's record."""

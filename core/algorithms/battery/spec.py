@@ -100,14 +100,9 @@ def clipped(command: Command, trained: VelocityCommand) -> Command:
     )
 
 
-def follows_velocity(options: Strict) -> bool:
-    """Whether the task of these options tells its policy a velocity, so that there can be a battery."""
-    return isinstance(options, TaskOptions) and isinstance(options.command, VelocityCommand)
-
-
-def follows_clips(options: Strict) -> bool:
-    """Whether the task of these options has a reference, whose clips are then the battery's cases."""
-    return isinstance(options, TaskOptions) and options.reference is not None
+def can_be_tested(task: TaskOptions) -> bool:
+    """Whether the task tells its policy a velocity, or has a reference, whose clips are then the cases."""
+    return isinstance(task.command, VelocityCommand) or task.reference is not None
 
 
 def battery_options(options: TaskOptions, spec: BatterySpec) -> TaskOptions:

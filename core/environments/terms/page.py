@@ -1,6 +1,7 @@
 """A body of the catalog as a page: its model, its options, the task of terms that they make, and its row."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 from typing import Any, Literal, Protocol
 
@@ -69,6 +70,13 @@ def task_of(row: EnvironmentInfo, options: Strict) -> TaskOptions | None:
         return options
     makes: Callable[[Strict], TaskOptions] | None = row.arguments.get("task")
     return None if makes is None else makes(options)
+
+
+def with_task(row: EnvironmentInfo, options: Strict, task: TaskOptions) -> tuple[EnvironmentInfo, Strict]:
+    """The row and the options whose body does this task, which `task_of` has for them, in place of theirs."""
+    if isinstance(options, TaskOptions):
+        return row, task
+    return replace(row, arguments={**row.arguments, "task": lambda _: task}), options
 
 
 def _parts(body: str, model: str, options: type[Strict]) -> Inventory:

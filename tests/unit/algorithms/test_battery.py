@@ -15,8 +15,8 @@ from core.algorithms.battery.spec import (
     BatterySpec,
     Bounds,
     battery_options,
+    can_be_tested,
     commands_within,
-    follows_velocity,
 )
 from core.algorithms.trained_policy import Acting, TrainedPolicy
 from core.environments import catalog
@@ -83,8 +83,8 @@ def test_commands_are_clipped_to_what_was_trained_and_there_once() -> None:
 
 def test_the_tested_task_has_one_command_an_episode_and_only_the_battery_s_pushes() -> None:
     task = chosen(command={**COMMAND, "heading": [-3, 3]}, events=[{"kind": "push", "speed": 3.0}])
-    assert follows_velocity(task)
-    assert not follows_velocity(chosen(command=None, reward=[{"kind": "alive"}]))
+    assert can_be_tested(task)
+    assert not can_be_tested(chosen(command=None, reward=[{"kind": "alive"}]))
     calm = battery_options(task, BatterySpec(seconds=20.0))
     assert calm.events == []
     assert isinstance(calm.command, VelocityCommand)

@@ -19,6 +19,7 @@ from gaitway.battery import shown_battery
 from tests.exports import policy_file
 from tests.probes import endless
 from tests.unit.environments.mjcf.probe import XML, options
+from tests.unit.environments.test_imitating_bodies import FOLLOWS, at_rest
 from worker.training.battery import BatteryWriter
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
@@ -67,6 +68,32 @@ def told(
     events._pipe.close()
     with os.fdopen(read, "rb") as pipe:
         return [json.loads(line) for line in pipe]
+
+
+def test_a_body_of_the_catalog_that_imitates_is_tested_by_its_clips(tmp_path: Path) -> None:
+    clips = at_rest("rodent", tmp_path / "clips.npz")
+    spec = TrainSpec.model_validate(
+        {
+            "environment": {"id": "rodent", "options": FOLLOWS},
+            "battery": {"starts": 1, "push": {"speed": 0.1}},
+        }
+    )
+    job = resolve_job(spec)
+    built = BuiltEnvironment(job, endless(), "cpu", "cpu", "compiled", "asked for", clips=clips)
+    seen = np.random.default_rng(0).normal(0, 1, (20, job.info.observation_size)).astype(np.float32)
+    network = PPOSpec.model_validate({"policy_hidden_layer_sizes": [4]})
+    policy = policy_file(network, seen, job.info.action_size)
+    read, write = os.pipe()
+    events = EventWriter(tmp_path, write)
+    assert spec.battery is not None
+    writer = BatteryWriter(spec.battery, built, lambda: False)
+    writer.test_trained([PolicyInTraining(spec, events, lambda: 0, lambda: policy)])
+    events._pipe.close()
+    with os.fdopen(read, "rb") as pipe:
+        [file, metrics] = [json.loads(line) for line in pipe]
+    [clip] = json.loads((tmp_path / file["path"]).read_bytes())["clips"]
+    assert (clip["clip"], clip["episodes"]) == ("rest", 1)
+    assert metrics["values"]["battery/reached"] == clip["reached"]
 
 
 def test_a_battery_becomes_a_file_with_what_is_shown_of_it_and_metrics(tmp_path: Path) -> None:
