@@ -6,6 +6,7 @@ WHAT: `model` or `clips`. Writes `answer.json` there, and again with each new fi
 
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
 
 from worker.confinement.confinement import Layer, Limits, Unconfined, confine
@@ -28,7 +29,7 @@ def main() -> None:
 
 
 def _say_plainly(folder: Path, refusal: str) -> None:
-    """Without any of the service's modules: this process is not confined."""
+    """Without any of the service's modules, which this process may not be able or allowed to load."""
     import json
 
     (folder / "answer.json").write_text(json.dumps({"refusal": refusal}))
@@ -36,8 +37,18 @@ def _say_plainly(folder: Path, refusal: str) -> None:
 
 def _look(what: str, folder: Path, layers: tuple[Layer, ...]) -> None:
     # Imported only now, so that all they load is confined.
-    from core.errors import GaitwayError
-    from worker.validation.answer import ClipsAnswer, ModelAnswer
+    try:
+        from core.errors import GaitwayError
+        from worker.validation.answer import ClipsAnswer, ModelAnswer
+
+        reader = import_module(f"worker.validation.{'findings' if what == 'model' else 'clip_findings'}")
+    except (ImportError, OSError) as error:
+        refusal = (
+            f"This worker cannot load the programs that read such files ({error}). That is no fault of the "
+            "file: send it again once whoever runs the worker has mended it."
+        )
+        _say_plainly(folder, refusal)
+        return
 
     kind = ModelAnswer if what == "model" else ClipsAnswer
 
@@ -48,14 +59,10 @@ def _look(what: str, folder: Path, layers: tuple[Layer, ...]) -> None:
 
     try:
         if what == "model":
-            from worker.validation.findings import findings
-
-            for description in findings(folder / "model"):
+            for description in reader.findings(folder / "model"):
                 say(ModelAnswer(description=description))
         else:
-            from worker.validation.clip_findings import clip_findings
-
-            say(ClipsAnswer(description=clip_findings(folder)))
+            say(ClipsAnswer(description=reader.clip_findings(folder)))
     except GaitwayError as error:
         # It may quote the file, and not all of that may be text that can be stored.
         said = error.detail.encode(errors="backslashreplace").decode().replace("\0", "\\0")

@@ -357,6 +357,7 @@ def test_mjx_is_refused_where_ellipsoids_meet_boxes() -> None:
         ("ant", {"compiled", "warp"}, "native"),
         ("humanoid", set[str](), "warp"),
         ("humanoid", {"warp"}, "native"),
+        ("rodent", set[str](), "compiled"),
     ],
 )
 def test_a_gpu_gets_what_was_measured_fastest_of_what_is_installed(
@@ -365,6 +366,12 @@ def test_a_gpu_gets_what_was_measured_fastest_of_what_is_installed(
     monkeypatch.setattr(availability, "is_installed", lambda name: name not in lacking)
     row = catalog.find("corridor").under(CorridorOptions(walker=walker))
     assert choose("auto", "gpu", 2048, row.on_a_gpu, row.cannot_run).name == engine
+
+
+def test_a_rat_in_many_layouts_gets_warp(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(availability, "is_installed", lambda _: True)
+    row = catalog.find("corridor").under(CorridorOptions(walker="rodent", num_layouts=2))
+    assert choose("auto", "gpu", 2048, row.on_a_gpu, row.cannot_run).name == "warp"
 
 
 def test_a_worker_without_dm_control_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

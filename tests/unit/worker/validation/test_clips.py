@@ -3,6 +3,7 @@
 import io
 import json
 import signal
+import sys
 import threading
 import zipfile
 from collections.abc import Iterator
@@ -293,3 +294,15 @@ def test_what_is_no_file_of_clips_is_refused_in_a_sentence(tmp_path: Path, store
 def test_those_that_were_deleted_meanwhile_do_not_come_back(tmp_path: Path, stores: dict[str, Any]) -> None:
     with pytest.raises(ClipsNotFound):
         validate_clips(f"sha256:{'0' * 64}", stores["store"], stores["objects"], tmp_path, tmp_path)
+
+
+@pytest.mark.parametrize(("what", "reader"), [("clips", "clip_findings"), ("model", "findings")])
+def test_a_worker_that_cannot_load_its_own_programs_does_not_blame_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, reader: str
+) -> None:
+    monkeypatch.setitem(sys.modules, f"worker.validation.{reader}", None)
+    _look(what, tmp_path, ())
+    refusal = read_answer(tmp_path / ANSWER, ClipsAnswer).refusal
+    assert refusal is not None
+    assert refusal.startswith("This worker cannot load the programs that read such files (import of worker.")
+    assert "no fault of the file" in refusal
