@@ -78,7 +78,7 @@ def test_a_submission_fills_in_what_the_decoder_is(job_store: PostgresJobStore) 
     assert [term["kind"] for term in action.sees] == [term["kind"] for term in BODY]
     assert info.spaces.action_size == 7
     [part] = info.spaces.action
-    assert (part.name, part.low, part.high) == ("intention", -2.0, 2.0)
+    assert (part.name, part.low, part.high) == ("intention", -3.5, 3.5)
     # What was filled in can be sent again.
     assert new_job(job.spec, job_store).spec == job.spec
 

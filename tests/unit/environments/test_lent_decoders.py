@@ -72,7 +72,7 @@ def test_a_decoder_that_imitated_moves_the_body_in_another_task(
     # The names say which numbers the previous action is: what the decoder gave.
     [previous] = [part for part in row.spaces.observation if part.name == "previous_action"]
     given = after.obs[previous.start : previous.start + previous.size]
-    expected = behind.decoder(2.0 * intention, state.obs[behind.places])
+    expected = behind.decoder(3.5 * intention, state.obs[behind.places])
     np.testing.assert_allclose(given, expected, atol=1e-5)
     assert np.ptp(given) > 0.1
 
