@@ -5,6 +5,7 @@ import re
 import pytest
 
 from mujoco_compiled.code.gpu_kernel import block_of, gpu_kernel, most_shared, most_warps
+from mujoco_compiled.code.long_writer import is_long
 from mujoco_compiled.program.arithmetic import Number, Vector, sine
 from mujoco_compiled.program.flow import repeat, where_needed
 from mujoco_compiled.program.memory import array, for_each, where_any
@@ -67,6 +68,15 @@ def test_threads_of_a_small_program_go_alone() -> None:
     assert '"nvvm.maxntid"="32"' in code
     assert WAIT not in code
     assert ASK not in code
+
+
+@pytest.mark.extra
+def test_a_long_program_with_routines_stays_in_one_piece() -> None:
+    """In sections its threads would go alone, and each compute its routines."""
+    program, with_routine = program_of(45_000), program_with_a_routine(100)
+    with_routine.output("z", [chain(with_routine.inputs("w", 1)[0], 45_000)])
+    assert is_long(program)
+    assert not is_long(with_routine)
 
 
 @pytest.mark.extra
