@@ -41,8 +41,14 @@ Answer = dict[str, Any]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Those of a measurement of imitation."""
     parser.add_argument(
-        "--clip", type=Path, required=True, metavar="FILE", help="of clips: ours, or an NPZ as mjlab's"
+        "--clip",
+        type=Path,
+        nargs="+",
+        required=True,
+        metavar="FILE",
+        help="of clips: ours, or an NPZ as mjlab's",
     )
+    parser.add_argument("--mirrored", action="store_true", help="with the mirror image of each clip")
     parser.add_argument("--body", default="g1", choices=list(_CLOSE), help="of the catalog, by default g1")
     parser.add_argument("--unseen", type=Path, metavar="FILE", help="of clips that are followed besides")
     parser.add_argument("--steps", type=int, metavar="N", help="of a training; by default tuned")
@@ -57,7 +63,11 @@ def measure(arguments: argparse.Namespace, folder: Path) -> Iterator[Figure]:
     seeds = 1 if arguments.quick else arguments.seeds
     answers = [_trained(0, "cold", folder, arguments)]
     answers += [_trained(seed, "warm", folder, arguments) for seed in range(seeds if seeds > 1 else 0)]
-    yield from _figures(f"{arguments.body}, {arguments.clip.stem}", answers, arguments)
+    yield from _figures(f"{arguments.body}, {_named(arguments)}", answers, arguments)
+
+
+def _named(arguments: argparse.Namespace) -> str:
+    return "-".join([file.stem for file in arguments.clip] + ["mirrored"] * arguments.mirrored)
 
 
 def _trained(seed: int, which: str, folder: Path, arguments: argparse.Namespace) -> Answer | str:
@@ -67,12 +77,13 @@ def _trained(seed: int, which: str, folder: Path, arguments: argparse.Namespace)
     keep = None
     if arguments.policies is not None:
         arguments.policies.mkdir(parents=True, exist_ok=True)
-        keep = str(arguments.policies.absolute() / f"{arguments.body}-{arguments.clip.stem}-{seed}.policy")
+        keep = str(arguments.policies.absolute() / f"{arguments.body}-{_named(arguments)}-{seed}.policy")
     request = {
         "body": arguments.body,
         "options": {"task": "imitate", **arguments.options},
         "reference": arguments.reference,
-        "clips": str(arguments.clip.absolute()),
+        "clips": [str(file.absolute()) for file in arguments.clip],
+        "mirrored": arguments.mirrored,
         "settings": {**(_QUICK if arguments.quick else {}), **arguments.settings, **steps},
         "seed": seed,
         "device": device,

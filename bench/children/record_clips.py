@@ -1,8 +1,9 @@
 """Trainings of a body, and what their policies do, as clips.
 
 Request: body, of the catalog; settings (of PPO; what they leave out is tuned); seeds; stages, at which a
-training's policy is kept; clips and unseen: of all seeds but the last, and of the last; seconds of a clip;
-device (`cpu` or `gpu`); cache, a folder for compiled programs; out, a folder for the files.
+training's policy is kept; clips and unseen: of all seeds but the last, and of the last (0: all seeds are
+seen); seconds of a clip; device (`cpu` or `gpu`); cache, a folder for compiled programs; out, a folder for
+the files.
 """
 
 from collections.abc import Iterator
@@ -27,11 +28,11 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
     Path(request["cache"]).mkdir(parents=True, exist_ok=True)
     keep_compiled(request["cache"], "compiled")
-    *seen, unseen = [list(_clips_of(seed, request)) for seed in request["seeds"]]
-    files = {
-        request["body"]: list(islice(_in_turn(seen), request["clips"])),
-        f"{request['body']}-unseen": list(islice(_in_turn([unseen]), request["unseen"])),
-    }
+    seen = [list(_clips_of(seed, request)) for seed in request["seeds"]]
+    files = dict[str, list[Any]]()
+    if request["unseen"]:
+        files[f"{request['body']}-unseen"] = list(islice(_in_turn([seen.pop()]), request["unseen"]))
+    files[request["body"]] = list(islice(_in_turn(seen), request["clips"]))
     rows = list[dict[str, Any]]()
     for name, clips in files.items():
         file = Path(request["out"], f"{name}.npz")

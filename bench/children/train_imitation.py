@@ -1,10 +1,10 @@
 """One training of a body that follows clips, and how far its policy follows them from many starts.
 
 Request: body, a robot; options (without `reference`, which is added); reference (without its clips); clips,
-our own file of clips or an NPZ as mjlab's; settings (of PPO; what they leave out is tuned); seed; device
-(`cpu` or `gpu`); cache, a folder for compiled programs; starts; close, up to which errors of root (m) and
-joints (rad) an episode is close; unseen, a file of clips that are followed besides, or null; keep, a file for
-the policy, or null.
+our own files of clips or NPZs as mjlab's; mirrored, whether it follows their mirror images, too; settings (of
+PPO; what they leave out is tuned); seed; device (`cpu` or `gpu`); cache, a folder for compiled programs;
+starts; close, up to which errors of root (m) and joints (rad) an episode is close; unseen, a file of clips
+that are followed besides, or null; keep, a file for the policy, or null.
 """
 
 import hashlib
@@ -35,25 +35,28 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from core.physics.choose import engine_builder
 
     with tempfile.TemporaryDirectory() as folder:
-        sent = [Path(file) for file in (request["clips"], request["unseen"]) if file is not None]
-        seen, *unseen = identities = [
-            f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}" for file in sent
-        ]
+        sent = [Path(file) for file in (*request["clips"], request["unseen"]) if file is not None]
+        identities = [f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}" for file in sent]
         files = dict(zip(identities, canonical(sent, Path(folder)), strict=True))
+        number = len(request["clips"])
+        seen, unseen = (
+            [{"file": one} for one in part] for part in (identities[:number], identities[number:])
+        )
+        mirrored = [{**clip, "mirror": True} for clip in seen] if request["mirrored"] else []
 
-        def job_on(identity: str) -> Any:
-            reference = {**request["reference"], "clips": [{"file": identity}]}
+        def job_on(clips: list[Any]) -> Any:
+            reference = {**request["reference"], "clips": clips}
             body = {"id": request["body"], "options": {**request["options"], "reference": reference}}
             settings = {"kind": "ppo", **request["settings"]}
             return resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": settings}))
 
-        def tried(identity: str) -> tuple[Any, dict[str, Any]]:
-            judged = catalog.make(job.info, job_on(identity).options, engine_builder("native"), clips=files)
+        def tried(clips: list[Any]) -> tuple[Any, dict[str, Any]]:
+            judged = catalog.make(job.info, job_on(clips).options, engine_builder("native"), clips=files)
             assert isinstance(judged, TaskEnv)  # noqa: S101 - it follows a reference
             rows = spread_over(judged, request["starts"])
             return followed(judged, policy, rows, seed=request["seed"], close=request["close"])[:2]
 
-        job = job_on(seen)
+        job = job_on([*seen, *mirrored])
         ppo = job.settings_on(request["device"])
         engine = engine_of("auto", job.info, request["device"], ppo.num_parallel_envs)
         keep_compiled(request["cache"], engine)
@@ -71,8 +74,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         whole, by_clip = tried(seen)
         told |= {"all": whole.document(), "clips": {name: one.document() for name, one in by_clip.items()}}
         told |= {"tested_at": time.time(), "unseen": {}}
-        for identity in unseen:
-            told["unseen"] = tried(identity)[0].document()
+        if unseen:
+            told["unseen"] = tried(unseen)[0].document()
     return told
 
 
