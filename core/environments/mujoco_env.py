@@ -12,7 +12,6 @@ from typing import Self
 import jax
 import jax.numpy as jnp
 import mujoco
-import numpy as np
 
 from core.environments.environment import (
     CONTINUOUS,
@@ -142,19 +141,3 @@ def noisy_start(
     if environment.initial_act is None:
         return environment.engine.reset(qpos, qvel, model)
     return environment.engine.reset(qpos, qvel, model, environment.initial_act)
-
-
-def scaled_to_control(model: mujoco.MjModel, action: jax.Array) -> jax.Array:
-    """The control [nu] for an action [nu] in [-1, 1]; ±1 is an end of the actuator's range.
-
-    An actuator without a range takes the action itself.
-    """
-    low, high = map(jnp.asarray, control_range(model))
-    return low + (action + 1.0) * (high - low) * 0.5
-
-
-def control_range(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """The controls [nu] for actions of −1 and 1."""
-    limited = model.actuator_ctrllimited.astype(bool)
-    low, high = np.where(limited, model.actuator_ctrlrange.T, [[-1.0], [1.0]]).astype(np.float32)
-    return low, high

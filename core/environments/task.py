@@ -12,25 +12,19 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from core.environments.action_to_control import ActionToControl
 from core.environments.deployment import Deployment, NotDeployed, deployment
 from core.environments.environment import TRUNCATED, Observation, State
 from core.environments.episode_start import RandomStart, first_motion, first_positions
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP
-from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.environments.observation_group import ObservationGroup
 from core.environments.reference.parts import Parts, Record
 from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
-from core.environments.terms import foot_times, history
-from core.environments.terms.actions import (
-    ActionTerm,
-    AnyAction,
-    ControlAction,
-    JointAction,
-    of_the_body,
-)
-from core.environments.terms.actuation import actuation
+from core.environments.terms import foot_times
+from core.environments.terms.actions import of_the_body
 from core.environments.terms.binding import BoundTerm, bound
 from core.environments.terms.commands import CommandTerm, PositionCommand, VelocityCommand
 from core.environments.terms.describe import height_of, root_of
@@ -51,11 +45,9 @@ from core.environments.terms.task import (
     placed_terms,
     reported,
 )
-from core.environments.terms.term import whole_steps
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
 from core.environments.terms.vocabulary import AnyReward
 from core.environments.terrain.grid import LAYOUT, WALKED, TerrainGrid
-from core.environments.torque_speed_curve import TorqueSpeedCurve
 from core.environments.trajectory import FollowedClip
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
@@ -65,8 +57,6 @@ _OF_THE_EPISODE, _OF_THE_START = 7, 11
 # What random numbers of a step are for, folded into their key: events have those from 3 on.
 _OF_THE_GROUP, _OF_THE_ACTION = 100, 101
 _OF_THE_TERRAIN, _OF_THE_REFERENCE = 8, 9
-# The field of the model that a torque-speed curve changes in each step.
-_FORCE_RANGE = "actuator_forcerange"
 
 
 @dataclass(frozen=True)
@@ -83,7 +73,6 @@ class TaskSettings:
 class TaskEnv(MujocoEnv):
     """Reward: the weighted sum of the terms. An episode ends when one of the termination terms says so.
 
-    An action of ±1 is an end of a control's range; without a range, the action is the control itself.
     settings: None: the solver's are those of the options.
     """
 
@@ -101,13 +90,9 @@ class TaskEnv(MujocoEnv):
         options = options.model_copy(update={"action": of_the_body(options.action)})
         root = model.body(options.root).id if options.root else root_of(model)
         start = first_positions(model, options.reset)
-        self._actuation = None
-        if isinstance(options.action, JointAction):
-            self._actuation = actuation(options.action, model, start)
-        num_actions = model.nu if self._actuation is None else len(self._actuation.actuators)
-        if isinstance(options.action, ActionTerm):
-            num_actions = len(options.action.names(parts))
-        feet, num_commands = feet_of(model, options.feet, start), len(parts_of(options, parts).command)
+        named_by_terms = parts_of(options, parts)
+        num_commands, num_actions = len(named_by_terms.command), len(named_by_terms.acting)
+        feet = feet_of(model, options.feet, start)
         named = ModelIndex(model, root, start, feet, num_commands, num_actions)
         if options.reference is not None:
             followed = Followed.of(options.reference, model, root)
@@ -116,9 +101,6 @@ class TaskEnv(MujocoEnv):
         if options.command is not None:
             self._draw, self._tell = _commanded(options.command, named)
             named = replace(named, num_targets=self._draw.size)
-        self._controls = None
-        if isinstance(options.action, ActionTerm):
-            self._controls = bound(options.action, named, "controls", np.zeros(num_actions), size=model.nu)
         self._events = [
             bound(event, named, "drawn", np.zeros(event.num_random), size=model.nv)
             for event in options.events
@@ -133,13 +115,10 @@ class TaskEnv(MujocoEnv):
         self._critic = None
         if options.critic is not None:
             self._critic = ObservationGroup(CRITIC_GROUP, options.critic, named, dt, is_exact=True)
-        self._is_scaled = not isinstance(options.action, ControlAction) or options.action.scaled
+        self.action_to_control = ActionToControl(options.action, named, self._policy, dt)
         self._playback = None
         if options.reference is not None:
-            self._playback = Playback.of(options.reference, options.action, named, dt, settings.clips)
-        self._encoders = self._biased_servos(options.action, model)
-        self._curve = TorqueSpeedCurve.of(model) if options.action.torque_speed_curve else None
-        self._action_delays = whole_steps(options.action.delay, dt)
+            self._playback = Playback.of(options.reference, named, dt, settings.clips)
         self._options, self._memory = options, options.memory
         height = height_of(model, start, root)
         ends = _default_ends(parts, height) if options.termination is None else options.termination
@@ -147,8 +126,9 @@ class TaskEnv(MujocoEnv):
         self._metrics = [bound(term, named) for term in reported(options)]
         read_by_feet = FIELDS if "foot_times" in self._memory else ()
         groups = [self._policy, *([self._critic] if self._critic else [])]
-        changing = [part for part in (self._draw, self._tell, self._controls) if part is not None]
-        read_by = (*self._rewards, *groups, *self._ends, *self._metrics, *self._events, *changing)
+        commands = [part for part in (self._draw, self._tell) if part is not None]
+        moving = (*self._events, self.action_to_control)
+        read_by = (*self._rewards, *groups, *self._ends, *self._metrics, *commands, *moving)
         read = (part.derived for part in read_by)
         fields = set[str](read_by_feet).union(*read)
         engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=settings.solver)
@@ -166,8 +146,8 @@ class TaskEnv(MujocoEnv):
         self._has_chance, self._command = True, None
         is_moved = options.reset.moves_root or options.reset.joints is not None
         self._start = RandomStart(options.reset, named) if is_moved else None
-        self._is_random = bool(options.command or options.gait or options.events or options.action.delay)
-        self._is_random |= self._policy.is_random
+        self._is_random = bool(options.command or options.gait or options.events)
+        self._is_random |= self._policy.is_random or self.action_to_control.is_random
         self.observation_size = self._policy.size
         if self._critic is not None:
             self.observation_size = {POLICY_GROUP: self._policy.size, CRITIC_GROUP: self._critic.size}
@@ -203,13 +183,7 @@ class TaskEnv(MujocoEnv):
         if options.gait:
             info["phase"] = self._uniform(info, 1, 1)[0]
         info |= self._policy.drawn(lambda number: self._uniform(info, number, _OF_THE_GROUP))
-        if options.action.delay is not None:
-            delays = self._action_delays
-            uniform = self._uniform(info, 1, _OF_THE_ACTION)[0]
-            info["action_delay"] = delays.start + jnp.floor(uniform * len(delays)).astype(jnp.int32)
-            info["past_actions"] = history.begun(nothing, delays.stop, jnp)
-        if options.action.smoothing:
-            info["smoothed_action"] = nothing
+        info |= self.action_to_control.begun(lambda number: self._uniform(info, number, _OF_THE_ACTION))
         step = replace(step, command=info.get("command"), target=info.get("target"))
         if "earlier_action" in self._memory:
             info["earlier_action"] = nothing
@@ -230,17 +204,19 @@ class TaskEnv(MujocoEnv):
         if self._is_random:
             info["steps"] = info["steps"] + 1
         before = self._pushed(state.physics, info)
-        arrived, entries = self._arrived(action, info)
+        reference = None
+        if self._playback is not None:
+            info[FRAME] = info[FRAME] + 1
+            reference, _ = self._playback.state(info[FRAME])
+        beginning = self._at(before, info)
+        control, entries = self.action_to_control.controls(action, beginning, info, reference)
         info |= entries
-        control = self._controlled(before, arrived, info)
-        physics = self._moved(before, control)
+        physics = self.action_to_control.stepped(self.engine, before, control)
         carried = ("previous_action", "command", "target", "start")
         previous, command, target, start = (info.get(name) for name in carried)
         step = Step(
             before, physics, action, previous, self.dt, jnp, command, target, start=start, control=control
         )
-        if self._playback is not None:
-            info[FRAME] = info[FRAME] + 1
         step = self._with_reference(self._grounded(step, info), info)
         if "previous_action" in self._memory:
             info["previous_action"] = action
@@ -398,61 +374,6 @@ class TaskEnv(MujocoEnv):
             asked = speed * self.dt
         return grid.walked(info[WALKED], here=here, way=way, asked=asked)
 
-    def _arrived(
-        self, action: jax.Array, info: Mapping[str, jax.Array]
-    ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """The action that the actuators get in this step, and what `State.info` keeps of it."""
-        entries: dict[str, jax.Array] = {}
-        if "action_delay" in info:
-            past = history.remembered(info["past_actions"], action, jnp)
-            entries["past_actions"] = past
-            action = history.seen(past, 1, info["action_delay"])
-        if share := self._options.action.smoothing:
-            action = entries["smoothed_action"] = share * info["smoothed_action"] + (1.0 - share) * action
-        return action, entries
-
-    def _controlled(
-        self, before: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
-    ) -> jax.Array:
-        """The controls [nu] for the action that the actuators get."""
-        if self._controls is not None:
-            return jnp.float32(self._controls.measure(self._at(before, info), action))
-        control = self._as_encoders_read(self._control(action), info)
-        return control if self._playback is None else self._playback.moved_along(control, info[FRAME] + 1)
-
-    def _control(self, action: jax.Array) -> jax.Array:
-        if self._actuation is None:
-            return scaled_to_control(self.model, action) if self._is_scaled else action
-        offset, gain = jnp.asarray(self._actuation.offset), jnp.asarray(self._actuation.gain)
-        if self.action_size < self.model.nu:
-            action = jnp.zeros(self.model.nu).at[self._actuation.actuators].set(action)
-        return offset + gain * action
-
-    def _biased_servos(self, action: AnyAction, model: mujoco.MjModel) -> np.ndarray | None:
-        """Position servos whose encoders have a bias, and its place among the group's, [2, n]; None: none."""
-        if self._actuation is None or not (isinstance(action, JointAction) and action.follows_encoders):
-            return None
-        places = self._policy.encoder_places
-        joints = model.actuator_trnid[:, 0].tolist()
-        servos = [number for number, kind in enumerate(self._actuation.kinds) if kind == "position"]
-        biased = [(number, places[joints[number]]) for number in servos if joints[number] in places]
-        return np.array(biased, int).reshape(-1, 2).T
-
-    def _as_encoders_read(self, control: jax.Array, info: Mapping[str, jax.Array]) -> jax.Array:
-        """The controls of servos that hold what their encoders read at the target."""
-        if self._encoders is None:
-            return control
-        servos, places = self._encoders
-        return control.at[servos].add(-self._policy.bias(info)[places])
-
-    def _moved(self, before: PhysicsState, control: jax.Array) -> PhysicsState:
-        """The physics after the control, with the motors' torques that are left at this speed."""
-        if self._curve is None:
-            return self.engine.step(before, control)
-        force_range = self._curve.force_range(before.qvel, before.model.get(_FORCE_RANGE))
-        limited = replace(before, model={**before.model, _FORCE_RANGE: force_range})
-        return replace(self.engine.step(limited, control), model=before.model)
-
     def _pushed(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> PhysicsState:
         """The physics after the events of this step."""
         for number, (event, term) in enumerate(zip(self._options.events, self._events, strict=False)):
@@ -507,7 +428,7 @@ class TaskEnv(MujocoEnv):
         if self._playback is not None:
             raise NotDeployed("it follows a reference, and a robot has no clips")
         parts = parts_of(self._options, self._inventory)
-        return deployment(self._options, self._parts, parts, self._actuation)
+        return deployment(self._options, self._parts, parts, self.action_to_control.actuation)
 
     def told(self, command: jax.Array | None, ground: jax.Array | None = None) -> Self:
         there = copy.copy(self)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from core.environments.action_to_control import scaled_to_control
 from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.options import (
     BODY_OBSERVABLES,
@@ -27,7 +28,7 @@ from core.environments.brittle_star.tasks import (
 )
 from core.environments.cpg.actions import steered_by_oscillators
 from core.environments.environment import Discretization, Environment, Seen, State, StateDiscretizer
-from core.environments.mujoco_env import MujocoEnv, initial, scaled_to_control
+from core.environments.mujoco_env import MujocoEnv, initial
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 

@@ -1,5 +1,5 @@
 """The part of a task that follows a reference: where its episodes begin in the clips, which frame each is at,
-what its terms see of that, and which servos' targets move along.
+and what its terms see of that.
 """
 
 import copy
@@ -8,13 +8,10 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from core.environments.reference.frames import Frames, chosen_clips, frames_of
 from core.environments.reference.parts import Parts, Record
-from core.environments.terms.actions import AnyAction, JointAction, PositionPart
-from core.environments.terms.actuation import joint_names
 from core.environments.terms.reference import Adaptive, Following, Frame, Reference
 from core.environments.terms.step import ModelIndex
 from core.environments.trajectory import FollowedClip
@@ -24,24 +21,11 @@ FRAME, FIRST_FRAME = "reference_frame", "reference_first_frame"
 
 
 class Playback:
-    """The frames of all clips, along which an episode moves by one in each control step.
+    """The frames of all clips, along which an episode moves by one in each control step."""
 
-    servos: those whose targets are about the joints of the frame after a step, with their joints' places in
-    qpos, [2, n]. pose: [nq], the positions that these targets are about until they are moved.
-    """
-
-    def __init__(
-        self,
-        reference: Reference,
-        frames: Frames,
-        control_step_s: float,
-        *,
-        servos: np.ndarray,
-        pose: np.ndarray,
-    ) -> None:
+    def __init__(self, reference: Reference, frames: Frames, control_step_s: float) -> None:
         self._row: jax.Array | None = None
         self._record: Record | None = None
-        self._servos, self._pose = servos, pose
         self._random_phase = reference.random_phase
         self._ahead = np.array(reference.ahead.steps(control_step_s), np.int32)
         self._rows = frames.frames
@@ -53,18 +37,12 @@ class Playback:
 
     @classmethod
     def of(
-        cls,
-        reference: Reference,
-        action: AnyAction,
-        model: ModelIndex,
-        control_step_s: float,
-        files: Mapping[str, Path],
+        cls, reference: Reference, model: ModelIndex, control_step_s: float, files: Mapping[str, Path]
     ) -> "Playback":
         """The playback of a task. files: of clips, by their ids."""
         clips = list(chosen_clips(reference.clips, files, 1.0 / control_step_s, model.model))
         frames = frames_of(clips, model.model, model.followed, model.pose)
-        servos = _servos_along(action, model.model)
-        return cls(reference, frames, control_step_s, servos=servos, pose=model.pose)
+        return cls(reference, frames, control_step_s)
 
     @property
     def clips(self) -> Sequence[FollowedClip]:
@@ -123,27 +101,9 @@ class Playback:
         way = jnp.maximum(last - first, 1).astype(jnp.float32)
         return Following(self._at(row), self._at(ahead), 1.0 / way)
 
-    def moved_along(self, control: jax.Array, row: jax.Array) -> jax.Array:
-        """The controls [nu], with the targets of servos about the joints of this row."""
-        if not self._servos.size:
-            return control
-        servos, joints = self._servos
-        qpos, _ = self.state(row)
-        return control.at[servos].add(qpos[joints] - jnp.asarray(self._pose, jnp.float32)[joints])
-
     def is_over(self, row: jax.Array) -> jax.Array:
         """1 where the row is its clip's last one, otherwise 0; []."""
         return jnp.where(row >= jnp.asarray(self._last)[row], 1.0, 0.0)
 
     def _at(self, rows: jax.Array) -> Frame:
         return Frame(*(jnp.asarray(values)[rows] for values in self._rows))
-
-
-def _servos_along(action: AnyAction, model: mujoco.MjModel) -> np.ndarray:
-    """The servos whose targets are about the reference, and their joints' places in qpos, [2, n]."""
-    parts = action.parts if isinstance(action, JointAction) else ()
-    along = [part for part in parts if isinstance(part, PositionPart) and part.about == "reference"]
-    servos = [
-        number for number, name in enumerate(joint_names(model)) if any(part.drives(name) for part in along)
-    ]
-    return np.array([servos, model.jnt_qposadr[model.actuator_trnid[servos, 0]]], int).reshape(2, -1)

@@ -101,7 +101,7 @@ def test_the_example_sets_the_targets_of_the_environment(tmp_path: Path) -> None
     low, high = environment.model.actuator_ctrlrange.T
     for number, (targets, qpos) in enumerate(deployed):
         action = numpy_answers(for_numpy, np.asarray(state.obs))
-        expected = np.clip(environment._control(jnp.asarray(action)), low, high)
+        expected = np.clip(environment.action_to_control.nominal(jnp.asarray(action)), low, high)
         np.testing.assert_allclose(targets, expected, rtol=0, atol=1e-4, err_msg=f"step {number}")
         state = step(state, jnp.asarray(action))
         np.testing.assert_allclose(qpos, state.physics.qpos, rtol=0, atol=1e-3, err_msg=f"step {number}")

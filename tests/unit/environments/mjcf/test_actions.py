@@ -88,7 +88,7 @@ def test_joints_that_no_pattern_matches_keep_the_pose(tmp_path: Path) -> None:
     )
     assert isinstance(environment, TaskEnv)
     assert environment.action_size == 1
-    assert environment._control(jnp.array([0.5])).tolist() == pytest.approx([0.75, 0.2])
+    assert environment.action_to_control.nominal(jnp.array([0.5])).tolist() == pytest.approx([0.75, 0.2])
     assert walked(environment, KEY, [0.25]).obs.tolist() == [0.25]
     info, _ = catalog.resolve("go1", {"action": {"kind": "joint_position", "joints": [".*_calf_joint"]}})
     assert info.action_size == info.spaces.action_size == 4
@@ -110,7 +110,9 @@ def test_joints_are_driven_in_several_ways(tmp_path: Path) -> None:
     )
     assert isinstance(environment, TaskEnv)
     # In the actuators' order. The motor's 3 N m are 1.5 by a gear of 2; the wrist is at 0.2 rad.
-    assert environment._control(jnp.array([0.5, -1.0])).tolist() == pytest.approx([0.75, -0.1])
+    assert environment.action_to_control.nominal(jnp.array([0.5, -1.0])).tolist() == pytest.approx(
+        [0.75, -0.1]
+    )
     robot = environment.deployment()
     assert [(one.name, one.target, one.stiffness) for one in robot.joints] == [
         ("elbow", "effort", 0.0),

@@ -108,7 +108,9 @@ def test_an_action_moves_a_servos_target_about_the_pose(tmp_path: Path) -> None:
         action = {"kind": "joint_position", "scale": scale}
         environment = build(tmp_path, SERVO, action=action, reset=reset)
         assert isinstance(environment, TaskEnv)
-        assert environment._control(jnp.array([1.0])).tolist() == pytest.approx([0.5 + expected])
+        assert environment.action_to_control.nominal(jnp.array([1.0])).tolist() == pytest.approx(
+            [0.5 + expected]
+        )
 
 
 def test_feet_follow_the_clock_while_the_command_is_to_move(tmp_path: Path) -> None:
@@ -204,7 +206,7 @@ def test_a_model_gets_servos_a_pose_and_then_a_task(tmp_path: Path) -> None:
     assert state.physics.qpos.tolist() == pytest.approx([0, 0, 0.7, 1, 0, 0, 0, 0.3])
     assert state.obs.tolist() == [0.0]
     # Half of 4 N m pushes 4 / 8 / 2 = 0.25 rad from the pose.
-    assert environment._control(jnp.array([1.0])).tolist() == pytest.approx([0.55])
+    assert environment.action_to_control.nominal(jnp.array([1.0])).tolist() == pytest.approx([0.55])
 
 
 def test_gains_that_blow_up_end_the_job(tmp_path: Path) -> None:
