@@ -245,9 +245,14 @@ def environment_details(info: EnvironmentInfo) -> EnvironmentDetails:
         action=tuple(SliceView.model_validate(one) for one in info.spaces.action),
         critic=tuple(SliceView.model_validate(one) for one in info.spaces.critic),
         defaults=_by_algorithm_and_device(lambda kind, device: _defaults(kind, info, device)),
-        metrics={kind or "rollout": tuple(sorted(metrics_of(info.id, kind))) for kind in (*ALGORITHMS, None)},
+        metrics={kind or "rollout": _metrics(info, kind) for kind in (*ALGORITHMS, None)},
         parts={kind: tuple(names) for kind, names in info.parts.items()},
     )
+
+
+def _metrics(info: EnvironmentInfo, algorithm: str | None) -> tuple[str, ...]:
+    follows_clips = getattr(info.chosen, "reference", None) is not None
+    return tuple(sorted(metrics_of(info.id, algorithm, follows_clips=follows_clips)))
 
 
 def _environment_facts(info: EnvironmentInfo) -> dict[str, Any]:

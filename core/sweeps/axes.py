@@ -5,7 +5,8 @@ An axis is a field of the job, named by its path, such as `algorithm.learning_ra
 
 import math
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from itertools import product
 from typing import Any, get_args
 
@@ -143,9 +144,32 @@ def fields_of(spec: JobSpec, info: EnvironmentInfo) -> dict[str, Any]:
     `kind` is left out, because it says what the other fields are; so are `name` and `labels`, which change
     no result.
     """
-    found = _fields(spec, "")
-    options = {f"{_OPTIONS}.{name}": field.annotation for name, field in info.options.model_fields.items()}
-    return {name: annotation for name, annotation in {**found, **options}.items() if name not in _FIXED}
+    found = _fields(spec, "") | _fields(info.option_values, f"{_OPTIONS}.")
+    return {name: annotation for name, annotation in found.items() if name not in _FIXED}
+
+
+def with_whole_parts(spec: JobSpec, info: EnvironmentInfo, names: Iterable[str]) -> JobSpec:
+    """The job that says every field of each object in its environment's options in which an axis changes one.
+
+    Otherwise the object's other fields would have the defaults of its kind, and not those of the environment.
+    info: the environment's row under the job's options. names: of the axes.
+    """
+    options: dict[str, Any] = deepcopy(dict(spec.environment.options))
+    for name in names:
+        if not name.startswith(f"{_OPTIONS}."):
+            continue
+        # Another kind of an object has other fields.
+        *above, _ = name.removeprefix(f"{_OPTIONS}.").removesuffix(".kind").split(".")
+        place, values = options, info.option_values
+        for part in above:
+            values = getattr(values, part)
+            if not isinstance(place.get(part), dict):
+                place[part] = values.model_dump(mode="json")
+            place = place[part]
+    if options == spec.environment.options:
+        return spec
+    environment = spec.environment.model_copy(update={"options": options})
+    return spec.model_copy(update={"environment": environment})
 
 
 def _fields(model: BaseModel, prefix: str) -> dict[str, Any]:

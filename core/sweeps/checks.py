@@ -32,6 +32,7 @@ from core.sweeps.axes import (
     random_values,
     takes_fractions,
     with_values,
+    with_whole_parts,
 )
 from core.sweeps.pbt import problems_of_population, steps_until
 from core.sweeps.results import SEED, refusal_of_metric
@@ -59,7 +60,11 @@ def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
         raise in_the_job(error) from None
     check_labels(spec)
     _check_axes(spec, resolved.info)
-    spec = spec.model_copy(update={"parameters": _with_fractions(spec, resolved.info)})
+    update = {
+        "job": with_whole_parts(spec.job, resolved.info, spec.parameters),
+        "parameters": _with_fractions(spec, resolved.info),
+    }
+    spec = spec.model_copy(update=update)
     _check_number(spec)
     _raise([*problems_of_population(spec, resolved), *problems_of_sampler(spec)])
     _check_method(spec)

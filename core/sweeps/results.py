@@ -52,6 +52,8 @@ _OF_ALGORITHMS = {
     },
     "q_learning": {"episodes", "num_episodes", "epsilon"},
 }
+# Of every task with a reference.
+_OF_CLIPS = ("root_error", "root_turn_error", "joint_error", "body_error", "clip_followed", "x_velocity")
 
 
 def judged(
@@ -197,14 +199,15 @@ def _with_one_value(one: SeenTrial, at: int) -> SeenTrial:
     return replace(one, trial=one.trial.model_copy(update={"values": (one.trial.values[at],)}))
 
 
-def metrics_of(environment: str, algorithm: str | None) -> Set[str]:
+def metrics_of(environment: str, algorithm: str | None, *, follows_clips: bool = False) -> Set[str]:
     """The metrics that a job on the environment reports. algorithm: None for a rollout.
 
-    Where an environment's terms depend on its options, they are not among them.
+    Where an environment's terms depend on its options, they are not among them. A body that follows clips
+    does so by other terms than those of the table.
     """
     if algorithm is None:
         return _ROLLOUT
-    terms = _terms().get(environment)
+    terms = _OF_CLIPS if follows_clips else _terms().get(environment)
     known = _EVALUATION | _TRAINING | {f"training/{name}" for name in _OF_ALGORITHMS.get(algorithm, ())}
     known |= {f"eval/episode_{name}" for name in terms or ()}
     if terms is not None and "x_velocity" not in terms:
@@ -215,28 +218,31 @@ def metrics_of(environment: str, algorithm: str | None) -> Set[str]:
 def refusal_of_metric(spec: JobSpec, metric: str) -> str | None:
     """Why the job does not report this metric, as a sentence; None if it does, or may.
 
-    An environment whose terms depend on its options is not in the table: any term of an episode passes.
+    Any term of an episode passes where the environment's terms depend on its options: it is not in the table,
+    or follows clips, by terms of its own.
     """
     if not isinstance(spec, RolloutSpec) and spec.algorithm.num_evals == 0 and metric.startswith("eval/"):
         return f"The job makes no evaluations (its `num_evals` is 0), so it reports no metric {metric!r}."
     algorithm = None if isinstance(spec, RolloutSpec) else spec.algorithm.algorithm()
-    known = {*metrics_of(spec.environment.id, algorithm), *_of_the_battery(spec)}
-    is_open = algorithm is not None and spec.environment.id not in _terms()
+    environment, follows_clips = spec.environment.id, _follows_clips(spec)
+    known = {*metrics_of(environment, algorithm, follows_clips=follows_clips), *_of_the_battery(spec)}
+    is_open = algorithm is not None and (follows_clips or environment not in _terms())
     if is_open and metric.startswith("eval/episode_"):
         return None
     if metric in known:
         return None
     near = nearest(metric, sorted(known)) or ["eval/episode_reward"]
-    return (
-        f"A job of this kind on {spec.environment.id} reports no metric {metric!r}; did you mean `{near[0]}`?"
-    )
+    return f"A job of this kind on {environment} reports no metric {metric!r}; did you mean `{near[0]}`?"
 
 
 def _of_the_battery(spec: JobSpec) -> Sequence[str]:
     if spec.battery is None:
         return []
-    of_clips = bool(spec.environment.options.get("reference"))
-    return metric_names(spec.battery.bounds, of_clips=of_clips)
+    return metric_names(spec.battery.bounds, of_clips=_follows_clips(spec))
+
+
+def _follows_clips(spec: JobSpec) -> bool:
+    return bool(spec.environment.options.get("reference"))
 
 
 @cache

@@ -97,7 +97,16 @@ export function fieldsOf(job, all, environment) {
   const options = environment?.options;
   if (!options?.properties) return own;
   const here = { ...all, ...options.$defs };
-  return [...own, ...properties(options, here, job.environment?.options, undefined, OPTIONS)];
+  return [...own, ...withParts(options, here, job.environment?.options, undefined, OPTIONS)];
+}
+
+/** The fields of an object; each that is an object itself is followed by its own. */
+function withParts(schema, all, said, planned, prefix) {
+  return properties(schema, all, said, planned, prefix).flatMap((field) => {
+    const name = field.path.slice(prefix.length);
+    const form = field.now === null ? null : formOf(field.schema, all, field.now);
+    return form ? [field, ...withParts(form, all, said?.[name], field.planned, `${field.path}.`)] : [field];
+  });
 }
 
 /** The fields of an object, and of the objects in it. */
@@ -125,7 +134,8 @@ function formOf(schema, all, now) {
   if (schema.properties) return schema;
   if (!schema.oneOf || !schema.discriminator) return null;
   const { mapping, propertyName } = schema.discriminator;
-  return resolve({ $ref: mapping[now?.[propertyName]] || Object.values(mapping)[0] }, all);
+  const kind = now?.[propertyName] ?? schema.default?.[propertyName]; // A job may leave it out.
+  return resolve({ $ref: mapping[kind] || Object.values(mapping)[0] }, all);
 }
 
 const formsOf = (schema) => schema.anyOf || [schema];

@@ -3,6 +3,7 @@
 import ast
 import json
 from typing import Any
+from urllib.parse import urlencode
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -95,6 +96,20 @@ def test_a_jobs_page_leads_to_a_sweep_over_its_settings(stack: Stack, tab: Tab) 
         "environment": {"id": "ant"},
         "algorithm": settings,
     }
+
+
+def test_a_field_of_an_object_among_the_options_is_an_axis(tab: Tab) -> None:
+    # The algorithm's kind is left out, as it may be.
+    written = {"kind": "train", "environment": {"id": "g1"}, "algorithm": {"network": {"kind": "intention"}}}
+    page = tab.open(f"#/sweeps/new?{urlencode({'job': json.dumps(written)})}")
+    add(page, "environment.options.command.every_s")
+    axis = page.get_by_role("group", name="environment.options.command.every_s", exact=True)
+    expect(axis).to_contain_text("number; the job has 5")
+    add(page, "environment.options.action")  # As a whole it is one, too.
+    add(page, "algorithm.clipping_epsilon")
+    add(page, "algorithm.network.latent")
+    others = page.get_by_label("Setting", exact=True).locator("option[value='algorithm.experts']")
+    expect(others).to_have_count(0)
 
 
 @pytest.mark.extra

@@ -3,8 +3,19 @@
 import pytest
 from pydantic import ValidationError
 
-from core.sweeps.axes import combinations, grid_values, num_combinations, random_values
+from core.environments import catalog
+from core.jobs.spec import JOB_SPEC
+from core.sweeps.axes import (
+    combinations,
+    fields_of,
+    grid_values,
+    job_of,
+    num_combinations,
+    random_values,
+    with_whole_parts,
+)
 from core.sweeps.spec import Range
+from tests.unit.environments.test_imitating_bodies import BODIES, FOLLOWS
 from tests.unit.sweeps.making import spec_of
 
 
@@ -73,3 +84,36 @@ def test_draws_stay_in_their_range_and_depend_on_the_seed_and_the_number_alone()
 def test_what_is_no_range_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValidationError):
         Range.model_validate(wrong)
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_field_of_an_object_in_the_options_changes_alone(body: str) -> None:
+    job = JOB_SPEC.validate_python({"kind": "train", "environment": {"id": body, "options": FOLLOWS}})
+    info, options = catalog.resolve(body, FOLLOWS)
+    path = "environment.options.reference.sampling.part_s"
+    assert path in fields_of(job, info)
+    whole = with_whole_parts(job, info, [path, "seed"])
+    assert catalog.resolve(body, whole.environment.options)[1] == options
+    reference = catalog.resolve(body, job_of(whole, {path: 0.5}).environment.options)[1].reference  # pyright: ignore
+    assert reference.sampling.model_dump() == {**options.reference.sampling.model_dump(), "part_s": 0.5}  # pyright: ignore
+
+
+def test_what_the_environment_has_by_default_stays_beside_a_changed_field() -> None:
+    job = JOB_SPEC.validate_python({"kind": "train", "environment": {"id": "g1", "options": FOLLOWS}})
+    info, options = catalog.resolve("g1", FOLLOWS)
+    whole = with_whole_parts(job, info, ["environment.options.action.scale"])
+    changed = job_of(whole, {"environment.options.action.scale": 0.3}).environment.options
+    action = catalog.resolve("g1", changed)[1].action  # pyright: ignore
+    assert action == options.action.model_copy(update={"scale": 0.3})  # pyright: ignore
+    assert action.about == "reference"  # pyright: ignore
+    assert with_whole_parts(job, info, ["seed"]) is job
+
+
+def test_another_kind_of_an_object_has_none_of_the_fields_of_the_one_before() -> None:
+    job = JOB_SPEC.validate_python({"kind": "train", "environment": {"id": "rodent", "options": FOLLOWS}})
+    info, _ = catalog.resolve("rodent", FOLLOWS)
+    path = "environment.options.reference.sampling.kind"
+    whole = with_whole_parts(job, info, [path])
+    for kind in ("uniform", "adaptive"):
+        options = job_of(whole, {path: kind}).environment.options
+        assert catalog.resolve("rodent", options)[1].reference.sampling.kind == kind  # pyright: ignore

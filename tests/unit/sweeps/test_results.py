@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from datetime import timedelta
+from pathlib import Path
 
 import jax
 import pytest
@@ -11,7 +12,8 @@ from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.physics.choose import engine_builder
 from core.reasons import Reason
-from core.sweeps.results import _terms, judged, metrics_of, refusal_of_metric
+from core.sweeps.results import _OF_CLIPS, _terms, judged, metrics_of, refusal_of_metric
+from tests.unit.environments.test_imitating_bodies import BODIES, FOLLOWS, at_rest
 from tests.unit.sweeps.making import JOB, NOON, sweep_of, trial_of
 
 HOUR = timedelta(hours=1)
@@ -62,6 +64,11 @@ def job(environment: object = "ant", **said: object) -> JobSpec:
         (job(algorithm={"kind": "sac"}), ["training/q_value"]),
         # Its reward's terms are named by its options.
         (job({"id": "mjcf", "options": {"model": "sha256:" + "0" * 64}}), ["eval/episode_reward_anything"]),
+        # So are those of a body that imitates, though the table has it for another task.
+        (
+            job({"id": "rodent", "options": FOLLOWS}, battery=True),
+            ["eval/episode_reward_track_joints", "eval/episode_clip_followed", "battery/reached"],
+        ),
         (job(kind="rollout", policy={"kind": "random"}), ["eval/episode_reward", "eval/avg_episode_length"]),
     ],
 )
@@ -97,3 +104,18 @@ def test_what_is_listed_for_an_environment_and_an_algorithm_is_accepted() -> Non
     assert {refusal_of_metric(JOB_SPEC.validate_python(job), metric) for metric in listed} == {None}
     assert "eval/episode_reward_std" in metrics_of("half_cheetah", None)
     assert "training/sps" not in metrics_of("half_cheetah", None)
+
+
+def test_what_is_listed_of_a_body_that_imitates_is_that_of_its_clips() -> None:
+    listed = metrics_of("rodent", "ppo", follows_clips=True)
+    assert {"eval/episode_clip_followed", "eval/forward_speed", "training/kl_mean"} <= listed
+    assert "eval/episode_forward_reward" not in listed
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_body_that_imitates_reports_what_is_listed(body: str, tmp_path: Path) -> None:
+    info, options = catalog.resolve(body, FOLLOWS)
+    clips = at_rest(body, tmp_path / "clips.npz")
+    environment = catalog.make(info, options, engine_builder("native"), clips=clips)
+    state = jax.eval_shape(environment.reset, jax.random.key(0))
+    assert set(_OF_CLIPS) <= set(state.metrics)
