@@ -53,7 +53,9 @@ class ApiError(GaitwayError):
         super().__init__(self.detail)
 
     def __str__(self) -> str:
-        return "\n".join([self.detail, *map(self._place, self.errors)])
+        # What is wrong with the whole, and said already, has no place.
+        told = [one for one in self.errors if one.pointer or one.detail not in self.detail]
+        return "\n".join([self.detail, *map(self._place, told)])
 
     def _place(self, error: FieldError) -> str:
         """Where it is, and what is wrong there unless `detail` has said so already."""

@@ -14,7 +14,10 @@ from core.clips.skeleton import Skeleton, listed
 # Frames whose pose is looked at, evenly spread over the clip.
 _MOST_POSES = 1000
 # Of the body's size (`Skeleton.size`): 1.08 m for a G1, so 6 cm and 2 cm.
-_SUNK, _NEARLY_SUNK, _AFLOAT = 0.06, 0.015, 0.1
+_SUNK, _NEARLY_SUNK, _AFLOAT, _FAR_ABOVE = 0.06, 0.015, 0.1, 5.0
+_UNITS = {"millimetres": 0.001, "centimetres": 0.01}
+# What the quaternions are, what they were read as, and the columns of what was read that are w x y z.
+_ORDERS = (("x y z w", "w x y z", (3, 0, 1, 2)), ("w x y z", "x y z w", (1, 2, 3, 0)))
 # rad or m beyond a joint's limit.
 _FAR_BEYOND, _BEYOND = 1.0, 0.05
 # A body that moves has an angle beyond this in degrees, and hardly in radians.
@@ -76,7 +79,7 @@ def check(clip: Clip, skeleton: Skeleton) -> Findings:
     frames = np.unique(np.linspace(0, clip.num_frames - 1, _MOST_POSES).astype(int))
     if skeleton.root_joint is not None and not problems:
         rows = qpos(clip, skeleton)[frames]
-        problems += _order(rows, skeleton)
+        problems += _order(rows, skeleton) or _units(rows, skeleton)
         if not problems:
             sunk, nearly = _floor(poses(rows, skeleton.model), frames, skeleton)
             problems += sunk
@@ -189,21 +192,46 @@ def _stand_out(steps: Array) -> NDArray[np.bool_]:
 
 
 def _order(rows: Array, skeleton: Skeleton) -> list[str]:
-    """Whether the root's quaternions are in the other order: the body would stand, but does not."""
-    few = rows[np.unique(np.linspace(0, len(rows) - 1, 40).astype(int))]
+    """Whether the root's quaternions are in another order: the body would stand, but does not."""
+    few = _some(rows)
     start = skeleton.root_address + 3
-    other = few.copy()
-    other[:, start : start + 4] = few[:, [start + 3, start, start + 1, start + 2]]
-    as_given, as_other = (_stance(one, skeleton) for one in (few, other))
-    falls = as_given.tilt > np.radians(50) and as_other.tilt < np.radians(35)
-    floats = as_given.height > 0.2 * skeleton.size and as_other.height < 0.05 * skeleton.size
-    if not (falls or floats):
+    as_given = _stance(few, skeleton)
+    for is_, read, columns in _ORDERS:
+        other = few.copy()
+        other[:, start : start + 4] = few[:, [start + column for column in columns]]
+        as_other = _stance(other, skeleton)
+        falls = as_given.tilt > np.radians(50) and as_other.tilt < np.radians(35)
+        floats = as_given.height > 0.2 * skeleton.size and as_other.height < 0.05 * skeleton.size
+        # A body that lies would, upright at that height, be deep in the floor.
+        stands = as_other.height < max(as_given.height, 0.05 * skeleton.size)
+        if stands and (falls or floats):
+            return [
+                f"The root's quaternions look like {is_} where {read} is read: as they are the body leans by "
+                f"{np.degrees(as_given.tilt):.0f}° and is {as_given.height:.2g} m off the floor, in the "
+                f"other order {np.degrees(as_other.tilt):.0f}° and {as_other.height:.2g} m."
+            ]
+    return []
+
+
+def _units(rows: Array, skeleton: Skeleton) -> list[str]:
+    """Whether the root's position is in another unit: the body would stand, but is far above the floor."""
+    few = _some(rows)
+    start = skeleton.root_address
+    if _stance(few, skeleton).height < _FAR_ABOVE * skeleton.size:
         return []
-    return [
-        f"The root's quaternions look like x y z w where w x y z is read: as they are the body leans by "
-        f"{np.degrees(as_given.tilt):.0f}° and is {as_given.height:.2g} m off the floor, in the other order "
-        f"{np.degrees(as_other.tilt):.0f}° and {as_other.height:.2g} m."
-    ]
+    for unit, metres in _UNITS.items():
+        other = few.copy()
+        other[:, start : start + 3] *= metres
+        if _stance(other, skeleton).height < 0.2 * skeleton.size:
+            height = np.abs(few[:, start + 2]).mean()
+            return [
+                f"The root is {height:.3g} m high. Taken as {unit}, the body is on the floor: give metres."
+            ]
+    return []
+
+
+def _some(rows: Array) -> Array:
+    return rows[np.unique(np.linspace(0, len(rows) - 1, 40).astype(int))]
 
 
 @dataclass(frozen=True)

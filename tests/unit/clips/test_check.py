@@ -101,6 +101,14 @@ BAD: list[tuple[Clip, str]] = [
         r"look like x y z w where w x y z is read: as they are the body leans by \d+°",
     ),
     (
+        replace(walking(), root_orientation=walking().root_orientation[:, [3, 0, 1, 2]]),
+        r"look like w x y z where x y z w is read: as they are the body leans by \d+°",
+    ),
+    (
+        replace(walking(), root_position=walking().root_position * 1000),
+        r"The root is \d+ m high. Taken as millimetres, the body is on the floor: give metres",
+    ),
+    (
         replace(walking(), root_position=walking().root_position + 20.0 * (np.arange(61) >= 30)[:, None]),
         r"The root jumps by 34\.\d m between the frames 29 and 30",
     ),
@@ -142,6 +150,7 @@ def test_a_body_that_is_fixed_does_not_travel() -> None:
     [
         (raised(walking(), -0.04), "cm under the floor"),
         (raised(walking(), 0.3), "The body never comes nearer to the floor than"),
+        (raised(walking(), 20.0), "The body never comes nearer to the floor than"),
         (
             with_joint(walking(), "left_knee", lambda values: values - 0.3),
             r"`left_knee` is at -0.2 rad in frame 0, beyond its limits [0, 2.09]",
@@ -164,6 +173,9 @@ def test_a_body_that_lies_is_no_wrong_order(model: mujoco.MjModel) -> None:
     lying = walking(root_position=np.tile([0, 0, 0.13], (61, 1)), root_orientation=back)
     still = replace(lying, joint_positions=np.zeros((61, 7)))
     assert check(still, skeleton_of(model)).problems == []
+    # On its side: in another order, these quaternions are those of a body that stands.
+    side = np.tile([np.cos(np.pi / 4), np.sin(np.pi / 4), 0, 0], (61, 1))
+    assert check(replace(still, root_orientation=side), skeleton_of(model)).problems == []
 
 
 def test_lowest_points_of_each_geom_are_those_of_its_shape() -> None:

@@ -134,7 +134,7 @@ def test_a_rejection_reads_as_its_sentence_and_its_places() -> None:
 
 
 def test_a_rejection_does_not_say_its_sentence_twice() -> None:
-    errors = [{"pointer": "/seed", "detail": "D."}]
+    errors = [{"pointer": "/seed", "detail": "D."}, {"pointer": "", "detail": "D."}]
     with scripted(lambda *_: problem(422, errors=errors)) as service, pytest.raises(Rejected) as caught:
         service.client.submit(environment="ant", seed=-1)
     assert str(caught.value) == "D.\n  at /seed"
