@@ -1,7 +1,8 @@
-"""In which order the files of tests are run: those that mostly wait beside those that mostly compute."""
+"""In which order files of tests are imported, and run: those that mostly wait beside those that compute."""
 
 from collections import Counter
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +19,24 @@ _UNTIL = 0.9
 def pytest_configure_node(node: Any) -> None:
     """All processes of a run order the tests alike."""
     node.workerinput["last_seconds"] = last_seconds()
+
+
+def pytest_collection(session: pytest.Session) -> None:
+    """Each process imports the files from another one on.
+
+    All import all of them, and in a new clone whoever comes first compiles: in step, each would compile all.
+    """
+    config = session.config
+    if hasattr(config, "workerinput") and config.args == config.getini("testpaths"):
+        files = sorted(str(file) for folder in config.args for file in Path(folder).rglob("test_*.py"))
+        process, processes = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"]
+        first = process * len(files) // processes
+        config.args = files[first:] + files[:first]
+
+
+@pytest.hookimpl(tryfirst=True, specname="pytest_collection_modifyitems")
+def in_one_order(items: list[pytest.Item]) -> None:
+    items.sort(key=_file)
 
 
 @pytest.hookimpl(trylast=True)  # The order of those that run.
