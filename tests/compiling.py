@@ -1,9 +1,11 @@
 """What a short test compiles runs for moments: most of the time would go into compiling it well."""
 
+import functools
 import os
 
 import jax
 import pytest
+from jax._src.interpreters import mlir
 from jaxlib import xla_client
 
 # Before JAX 0.11: a process ends at a flag that it does not know, and newer ones do not know the first.
@@ -17,6 +19,11 @@ def compile_quickly() -> None:
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("XLA_FLAGS", _KNOWN_FLAGS, prepend=" ")
         xla_client.CompileOptions()  # XLA reads its flags once: here.
+
+
+def lower_in_one_context() -> None:
+    """JAX makes a context of MLIR for each program, which is more than half of a small program's time."""
+    mlir.make_ir_context = functools.cache(mlir.make_ir_context)
 
 
 def compiling_quickly(xla_flags: str = "") -> dict[str, str]:

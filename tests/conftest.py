@@ -27,7 +27,7 @@ from core.storage.objects import ObjectStore
 from gaitway.service.embedded.postgres import Postgres
 from gaitway.service.embedded.valkey import Valkey
 from gaitway.service.embedded.weed import REGION, Weed
-from tests.compiling import compile_quickly, compiling_quickly
+from tests.compiling import compile_quickly, compiling_quickly, lower_in_one_context
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.kept_programs import forget_old_programs, keep_programs
 from tests.memory_folder import memory_folder
@@ -40,6 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("GAITWAY_PREPARE", "")
     if "not slow" in config.option.markexpr or config.option.markexpr == "extra":
         compile_quickly()
+    lower_in_one_context()
     keep_programs()
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         # A shell's background job ignores it, and so would all that the tests start and end by it.

@@ -26,7 +26,7 @@ def pytest_collection(session: pytest.Session) -> None:
 
     All import all of them, and in a new clone whoever comes first compiles: in step, each would compile all.
     """
-    config = session.config
+    config: Any = session.config  # With what xdist adds to it.
     if hasattr(config, "workerinput") and config.args == config.getini("testpaths"):
         files = sorted(str(file) for folder in config.args for file in Path(folder).rglob("test_*.py"))
         process, processes = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"]
