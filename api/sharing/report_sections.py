@@ -15,7 +15,7 @@ from core.algorithms.events import is_of_a_seed
 from core.jobs import feeds
 from core.jobs.job import Job
 from core.jobs.resolved import filled_in
-from gaitway.battery import LEGEND, shown_battery
+from gaitway.battery import shown_battery
 from gaitway.frames import RETURNS
 
 Curves = dict[str, tuple[list[int], list[float]]]  # The steps and finite values of each metric.
@@ -95,9 +95,8 @@ def _batteries(job: Job) -> Iterator[str]:
         if found is not None:
             of_seed = "" if seed is None else f" of seed {seed}"
             criteria = _table(("Quantity", "Value", "Bound", "Holds"), found.criteria)
-            content = (
-                f"<p>{escape(found.verdict)}</p>{criteria}{_table(found.head, found.rows)}<p>{LEGEND}</p>"
-            )
+            rows = _table(found.head, found.rows)
+            content = f"<p>{escape(found.verdict)}</p>{criteria}{rows}<p>{escape(found.legend)}</p>"
             yield section(f"Battery{of_seed}", content)
 
 

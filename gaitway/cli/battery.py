@@ -1,4 +1,4 @@
-"""`gaitway battery`: the test of a policy that follows velocity commands."""
+"""`gaitway battery`: the test of a policy that follows velocity commands or clips."""
 
 from typing import Annotated, Any
 
@@ -6,7 +6,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.battery import LEGEND, ShownBattery, shown_battery
+from gaitway.battery import ShownBattery, shown_battery
 from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json, wrong_usage
 from gaitway.cli.submit import follow
 from gaitway.cli.terminal import Console
@@ -16,7 +16,7 @@ def battery(  # noqa: PLR0913 - A command line's options.
     context: typer.Context,
     job: JobName,
     run: Annotated[bool, typer.Option("--run", help="Test its policy now, by a rollout job.")] = False,
-    starts: Annotated[int | None, typer.Option(help="With --run: episodes for each command.")] = None,
+    starts: Annotated[int | None, typer.Option(help="With --run: episodes for each command or clip.")] = None,
     push: Annotated[
         float | None, typer.Option(metavar="M/S", help="With --run: shove it every 4 s, up to this speed.")
     ] = None,
@@ -27,7 +27,7 @@ def battery(  # noqa: PLR0913 - A command line's options.
     watch: Annotated[bool, typer.Option("--watch", "-w", help="With --run: stay and show it.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show how a job's policy follows commands in C MuJoCo, as its battery found; or make one by --run."""
+    """Show how a job's policy follows commands or clips in C MuJoCo, as its battery found, or --run one."""
     client = client_of(context)
     full_id = job_id(client, job)
     if run:
@@ -45,7 +45,7 @@ def battery(  # noqa: PLR0913 - A command line's options.
     shown = shown_battery(found)
     if shown is None:
         raise wrong_usage("The file battery.json of this job is of another version: see it by --json.")
-    for part in (shown.verdict, *_tables(shown), LEGEND):
+    for part in (shown.verdict, *_tables(shown), shown.legend):
         Console().print(part)
 
 

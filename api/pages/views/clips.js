@@ -4,11 +4,12 @@ import { everyItem, get, remove, send, withQuery } from "../lib/api.js";
 import { ago, bytes, count } from "../lib/format.js";
 import { html, useEffect, useId, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
-import { change } from "../lib/route.js";
+import { change, href } from "../lib/route.js";
 import { Confirm, Empty, Failure, Loading, Pages, Prose, Said } from "../parts/elements.js";
 import { Player } from "../parts/replay/player.js";
 import { ProjectChoice, whose } from "../parts/whose.js";
 
+const IMITATE = "imitate"; // The task of an environment.
 const LIMIT = 50;
 const LONGEST_NAME = 100; // Characters, as the service allows.
 
@@ -19,23 +20,23 @@ export default function Clips({ query }) {
     [cursor],
     (found) => (found.items.some(({ status }) => status === "validating") ? 1500 : 15_000),
   );
+  const bodies = useLive(allBodies, []).data || [];
   return html`<div class="stack">
     <h1>Clips</h1>
-    <${Upload} onAdded=${again} />
+    <${Upload} onAdded=${again} bodies=${bodies} />
     ${error && html`<${Failure} error=${error} again=${again} />`}
     ${!data && !error && html`<${Loading} what="clips" />`}
     ${data && !data.items.length && !cursor && html`<${Empty}><p>No clips yet. A clip is a recording of a body's motion, which a job imitates.</p><//>`}
-    ${data && html`<div class="grid">${data.items.map((file) => html`<${File} key=${file.id} file=${file} query=${query} again=${again} />`)}</div>`}
+    ${data && html`<div class="grid">${data.items.map((file) => html`<${File} key=${file.id} file=${file} query=${query} again=${again} canImitate=${bodies.some(({ id, canImitate }) => canImitate && id === file.body)} />`)}</div>`}
     ${data && html`<${Pages} path=${["clips"]} query=${query} next=${data.next} name="Pages of clips" first="Newest" more="Older clips" />`}
   </div>`;
 }
 
-function Upload({ onAdded }) {
+function Upload({ onAdded, bodies }) {
   const [state, setState] = useState({});
   const [body, setBody] = useState("g1");
   const [rate, setRate] = useState("");
   const [project, setProject] = useState();
-  const bodies = useLive(allBodies, []).data || [];
   const known = useId();
   const input = useRef();
   const upload = async (file) => {
@@ -68,14 +69,21 @@ function Upload({ onAdded }) {
   </section>`;
 }
 
-/** The ids of environments with a body of their own, and of models. */
+/** The environments with a body of their own, and the models. canImitate: whether it has the task `imitate`. */
 async function allBodies(signal) {
   const [environments, models] = await Promise.all([get("/environments", { family: "gaitway" }, { signal }), everyItem("/models", { signal })]);
-  const named = environments.items.filter(({ id }) => id !== "mjcf").map(({ id }) => ({ id, name: id }));
+  const named = environments.items.filter(({ id }) => id !== "mjcf").map(({ id, options }) => ({ id, name: id, canImitate: options.properties?.task?.enum?.includes(IMITATE) }));
   return [...named, ...models.filter(({ status }) => status === "ready").map(({ id, name }) => ({ id, name: name || id }))];
 }
 
-function File({ file, query, again }) {
+/** A job in which the clips' body follows them, and is tested on each. */
+const imitatingJob = ({ id, body }) => ({
+  kind: "train",
+  environment: { id: body, options: { task: IMITATE, reference: { clips: [{ file: id }] } } },
+  battery: true,
+});
+
+function File({ file, query, again, canImitate }) {
   const [error, setError] = useState(null);
   const { description: found } = file;
   const discard = () => remove(file.links.self).then(again, setError);
@@ -92,7 +100,8 @@ function File({ file, query, again }) {
     <p class="facts"><code>${file.id}</code></p>
     ${error && html`<${Failure} error=${error} />`}
     <p class="actions">
-      <a class="button" href=${file.links.file} download>Download</a>
+      ${found && canImitate && html`<a class="button" href=${href(["submit"], { job: JSON.stringify(imitatingJob(file)) })}>Train a policy to follow them</a>`}
+      <a class=${found && canImitate ? "" : "button"} href=${file.links.file} download>Download</a>
       <${Confirm} text="Delete" question="Delete these clips?" onYes=${discard} isDangerous />
     </p>
   </section>`;

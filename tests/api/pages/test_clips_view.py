@@ -30,6 +30,11 @@ def test_clips_are_sent_described_and_deleted(tab: Tab, stack: Stack) -> None:
     expect(card.get_by_text("A foot slides.")).to_be_visible()
     expect(card.get_by_text("how far from the body they are on average: knee 2.0 mm.")).to_be_visible()
     assert flaws(page) == []
+    card.get_by_role("link", name="Train a policy to follow them").click()
+    sent = page.get_by_role("region", name="The submission as JSON")
+    expect(sent).to_contain_text('"task": "imitate"')
+    expect(sent).to_contain_text('"battery": true')
+    page.go_back()
     card.get_by_role("button", name="Delete").click()
     card.get_by_role("button", name="Yes").click()
     expect(page.get_by_text("No clips yet.")).to_be_visible()

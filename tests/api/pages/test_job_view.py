@@ -357,8 +357,9 @@ def over_time(*clips: str) -> dict[str, Any]:
 def test_a_battery_of_clips_is_shown_clip_by_clip(tab: Tab, attempt: Attempt) -> None:
     row = {"clip": "carries a box", "episodes": 32, "reached": 0.75, "root_error": 0.081, "joint_error": 0.12}
     reached = {"quantity": "reached", "value": 0.75, "bound": 0.95, "met": False}
+    root = {"quantity": "root_error", "value": 0.0127, "bound": 0.01, "met": False}
     of_clips = {"commands": [], "clips": [row], "spec": {"seconds": 8, "push": None}}
-    facts = {"passed": False, "criteria": [reached], **of_clips}
+    facts = {"passed": False, "criteria": [reached, root], **of_clips}
     whole = {**facts, "over_time": over_time("carries a box", "turns")}
     attempt.keep(
         "battery.json",
@@ -372,6 +373,8 @@ def test_a_battery_of_clips_is_shown_clip_by_clip(tab: Tab, attempt: Attempt) ->
     expect(section.get_by_role("listitem").first).to_have_text(
         re.compile(r"✗ To the end: 75 %\s+at least 95 %")
     )
+    root_line = re.compile(r"✗ Root, m: 0.013\s+at most 0.01")
+    expect(section.get_by_role("listitem").nth(1)).to_have_text(root_line)
     expect(section.get_by_role("row").nth(1)).to_have_text(
         re.compile(r"carries a box\s*75 % of 32\s*0.081\s*0.120")
     )

@@ -102,6 +102,8 @@ def test_a_battery_judges_each_clip_from_moments_that_are_spread_over_it(tmp_pat
     assert shown is not None
     assert shown.verdict.startswith("Passed: each clip to its end")
     assert shown.criteria[0] == ("to the end", "100 %", "≥ 95 %", "yes")
+    assert shown.criteria[1] == ("root, m", f"{result.criteria[1].value:.3f}", "≤ 0.1", "yes")
+    assert shown.legend.startswith("Root and joints: mean errors")
     assert [row[:2] for row in shown.rows] == [("a", "4/4"), ("b", "4/4")]
     whole = result.clips[0].model_copy(update={"reached": 0.9})
     assert not judged_by_clips(whole, spec.bounds)[0]

@@ -21,7 +21,9 @@ const NAMES = {
 };
 const isLeast = (quantity) => quantity.endsWith("tracking") || quantity === "reached";
 const isShare = (quantity) => quantity === "falls" || quantity === "reached";
-const shown = (number) => (typeof number === "number" ? number.toFixed(2) : "–");
+const shown = (number, digits = 2) => (typeof number === "number" ? number.toFixed(digits) : "–");
+const ERRORS = ["root_error", "joint_error"]; // To the millimetre: a rat's bound may be a centimetre.
+const inWords = ({ quantity, value: number }) => (isShare(quantity) ? percent(number) : shown(number, ERRORS.includes(quantity) ? 3 : 2));
 
 /** Nothing for a job without one; an imported job's facts may hold anything. */
 export function Battery({ job }) {
@@ -31,7 +33,7 @@ export function Battery({ job }) {
   const isOfClips = Array.isArray(clips) && clips.length > 0;
   return html`<section class="card" aria-label="Battery"><h2>Battery: ${passed ? "passed" : "not passed"}</h2>
     <ul class="plain">${criteria.map(
-      (one) => html`<li key=${one.quantity}>${one.met ? "✓" : "✗"} ${NAMES[one.quantity] || one.quantity}: ${isShare(one.quantity) ? percent(one.value) : shown(one.value)}
+      (one) => html`<li key=${one.quantity}>${one.met ? "✓" : "✗"} ${NAMES[one.quantity] || one.quantity}: ${inWords(one)}
         <span class="facts"> ${isLeast(one.quantity) ? "at least" : "at most"} ${isShare(one.quantity) ? percent(one.bound) : value(one.bound)}</span></li>`,
     )}</ul>
     ${isOfClips ? html`<${Clips} clips=${clips} />` : html`<${Commands} commands=${commands} />`}
@@ -41,14 +43,13 @@ export function Battery({ job }) {
 }
 
 function Clips({ clips }) {
-  const errors = ["root_error", "joint_error"];
   return html`<div class="table" tabindex="0" role="region" aria-label="Clips"><table>
-    <thead><tr><th>Clip</th><th class="number">${NAMES.reached}</th>${errors.map((name) => html`<th key=${name} class="number">${NAMES[name]}</th>`)}</tr></thead>
+    <thead><tr><th>Clip</th><th class="number">${NAMES.reached}</th>${ERRORS.map((name) => html`<th key=${name} class="number">${NAMES[name]}</th>`)}</tr></thead>
     <tbody>${clips.map(
       (row) => html`<tr key=${row.clip}>
         <td>${row.clip}</td>
         <td class="number">${percent(row.reached)} of ${count(row.episodes)}</td>
-        ${errors.map((name) => html`<td key=${name} class="number">${typeof row[name] === "number" ? row[name].toFixed(3) : "–"}</td>`)}
+        ${ERRORS.map((name) => html`<td key=${name} class="number">${shown(row[name], 3)}</td>`)}
       </tr>`,
     )}</tbody>
   </table></div>`;
