@@ -118,10 +118,18 @@ def clips_id(client: Client, name: str) -> str:
     return found[0].id
 
 
-def name_to_model(client: Client, options: Any) -> None:
-    """Put the id of a model in the place of its name, among an environment's options."""
-    if isinstance(options, dict) and isinstance(name := cast("dict[str, Any]", options).get("model"), str):
-        options["model"] = model_id(client, name)
+def names_to_ids(client: Client, options: Any) -> None:
+    """Put ids in the place of the names of a model and of files of clips, among an environment's options."""
+    if not isinstance(options, dict):
+        return
+    chosen = cast("dict[str, Any]", options)
+    if isinstance(name := chosen.get("model"), str):
+        chosen["model"] = model_id(client, name)
+    reference = chosen.get("reference")
+    clips = cast("dict[str, Any]", reference).get("clips") if isinstance(reference, dict) else None
+    for one in cast("list[Any]", clips) if isinstance(clips, list) else ():
+        if isinstance(one, dict) and isinstance(name := cast("dict[str, Any]", one).get("file"), str):
+            one["file"] = clips_id(client, name)
 
 
 def full_id(name: str, newest: Callable[[int], Iterable[JobView | SweepView]], what: str) -> str:

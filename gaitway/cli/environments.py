@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gaitway.cli.common import AsJson, client_of, name_to_model, print_json, wrong_usage
+from gaitway.cli.common import AsJson, client_of, names_to_ids, print_json, wrong_usage
 from gaitway.cli.submit import Show, assigned, option
 from gaitway.client import Client
 from gaitway.schema import EnvironmentDetails, SliceView
@@ -40,7 +40,7 @@ def environments(
     chosen: dict[str, Any] = {}
     for text in options or ():
         assigned(chosen, option(text))
-    name_to_model(client, chosen)
+    names_to_ids(client, chosen)
     found = client.environment(environment, chosen)
     if as_json:
         print_json(found)
@@ -117,7 +117,7 @@ def preview(  # noqa: PLR0913 # A command line's options.
     for text in options or ():
         assigned(chosen, option(text))
     client = client_of(context)
-    name_to_model(client, chosen)
+    names_to_ids(client, chosen)
     pictures = client.preview(
         environment,
         output,

@@ -14,7 +14,7 @@ from gaitway.cli.common import (
     client_of,
     end_code,
     job_id,
-    name_to_model,
+    names_to_ids,
     print_json,
     wrong_usage,
 )
@@ -156,7 +156,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
     client = client_of(context)
     if isinstance(spec.get("environment"), dict):
         chosen = cast("dict[str, Any]", spec["environment"])
-        name_to_model(client, chosen.get("options"))
+        names_to_ids(client, chosen.get("options"))
     if dry_run:
         print_json(client.check(spec))
         return

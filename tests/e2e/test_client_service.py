@@ -24,6 +24,9 @@ from gaitway.cli.models import what_it_waits_for
 from gaitway.cli.submit import JOB_FIELDS
 from gaitway.schema import WorkerView
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
+from tests.api.test_clips import DESCRIPTION as CLIPS
+from tests.api.test_clips import FILE as CLIPS_FILE
+from tests.api.test_clips import worker as clips_worker
 from tests.api.test_models import DESCRIPTION
 from tests.api.test_models import worker as validating_worker
 from tests.api.test_previews import announced, drawing_worker
@@ -355,6 +358,24 @@ def test_a_job_may_name_its_model_as_people_do(stack: Stack, client: Client, tmp
     assert json.loads(gaitway(stack, "environments", "mjcf", "--set", "model=my ball", "--json").stdout)[
         "action"
     ]
+
+
+def test_a_job_may_name_its_clips_as_people_do(stack: Stack, client: Client, tmp_path: Path) -> None:
+    (file := tmp_path / "walks.csv").write_bytes(CLIPS_FILE)
+    with clips_worker(stack, status="ready", description=CLIPS):
+        gaitway(stack, "clips", "add", str(file), "--body", "rodent", "--rate", "50")
+    [clips] = client.clip_files()
+    asked = [
+        "--set",
+        "task=imitate",
+        "--set",
+        'reference={"clips": [{"file": "walks.csv", "names": ["walk"]}]}',
+    ]
+    sent = gaitway(stack, "submit", "rodent", *asked)
+    options = client.get(sent.stdout.split()[0]).spec["environment"]["options"]
+    assert options["reference"] == {"clips": [{"file": clips.id, "names": ["walk"]}]}
+    unknown = gaitway(stack, "submit", "rodent", *(text.replace("walks", "strolls") for text in asked))
+    assert (unknown.exit_code, "No clips are called 'strolls.csv'" in unknown.stderr) == (2, True)
 
 
 def test_the_document_of_a_zip_that_is_the_model_can_be_named(stack: Stack, tmp_path: Path) -> None:
