@@ -1,6 +1,8 @@
 """In which order files of tests are imported, and run: those that mostly wait beside those that compute."""
 
+import gc
 from collections import Counter
+from collections.abc import Generator
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,8 @@ def pytest_configure_node(node: Any) -> None:
     node.workerinput["last_seconds"] = last_seconds()
 
 
-def pytest_collection(session: pytest.Session) -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Generator[None, Any, Any]:
     """Each process imports the files from another one on.
 
     All import all of them, and in a new clone whoever comes first compiles: in step, each would compile all.
@@ -32,6 +35,12 @@ def pytest_collection(session: pytest.Session) -> None:
         process, processes = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"]
         first = process * len(files) // processes
         config.args = files[first:] + files[:first]
+    gc.disable()  # What is imported stays: to look for garbage in it takes a second, here and whenever else.
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True, specname="pytest_collection_modifyitems")
