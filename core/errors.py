@@ -208,12 +208,9 @@ class ModelInUse(Conflict):
     code = "model-in-use"
     title = "Jobs need the model"
 
-    def __init__(self, model_id: str, jobs: Sequence[str]) -> None:
-        named = ", ".join(jobs[:5])
+    def __init__(self, model_id: str, jobs: Sequence[str], sweeps: Sequence[str] = ()) -> None:
         super().__init__(
-            f"{len(jobs)} unfinished jobs need the model ({named}): cancel them first.",
-            model=model_id,
-            jobs=list(jobs),
+            _needed("the model", jobs, sweeps), model=model_id, jobs=list(jobs), sweeps=list(sweeps)
         )
 
 
@@ -221,13 +218,16 @@ class ClipsInUse(Conflict):
     code = "clips-in-use"
     title = "Jobs need the clips"
 
-    def __init__(self, clips_id: str, jobs: Sequence[str]) -> None:
-        named = ", ".join(jobs[:5])
+    def __init__(self, clips_id: str, jobs: Sequence[str], sweeps: Sequence[str] = ()) -> None:
         super().__init__(
-            f"{len(jobs)} unfinished jobs need the clips ({named}): cancel them first.",
-            clips=clips_id,
-            jobs=list(jobs),
+            _needed("the clips", jobs, sweeps), clips=clips_id, jobs=list(jobs), sweeps=list(sweeps)
         )
+
+
+def _needed(what: str, jobs: Sequence[str], sweeps: Sequence[str]) -> str:
+    counted = {"jobs": len(jobs), "sweeps": len(sweeps)}
+    who = " and ".join(f"{number} unfinished {name}" for name, number in counted.items() if number)
+    return f"{who} need {what} ({', '.join([*jobs, *sweeps][:5])}): cancel them first."
 
 
 class JobInUse(Conflict):

@@ -114,8 +114,8 @@ def remove_upload(
 
     The record goes first: no job names a file that is gone. If the file is sent again in between, its
     validation says that it is to be sent once more. Raises the kind's `missing`, and its `in_use` while a job
-    in one of these projects needs it. Ended jobs keep their files, but their policies cannot be run here any
-    more.
+    or sweep in one of these projects needs it. Ended jobs keep their files, but their policies cannot be run
+    here any more.
     """
     library.find(upload_id, uploads)
     if uploads.release(upload_id, projects):

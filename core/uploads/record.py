@@ -64,7 +64,7 @@ class UploadKind(Generic[Record]):
     source: Callable[[str], str]
     missing: Callable[[str], NotFound]
     unusable: Callable[[str], Rejected]
-    in_use: Callable[[str, Sequence[str]], Conflict]
+    in_use: Callable[[str, Sequence[str], Sequence[str]], Conflict]
     made: Callable[[Record], Sequence[str]] = lambda record: ()
 
 
@@ -154,6 +154,7 @@ class UploadStore(Protocol[Record]):
     def release(self, upload_id: str, projects: Collection[str]) -> bool:
         """Take it from these projects. True if none has it now, and no job needs it: its record is gone.
 
-        Raises the kind's `missing`, and its `in_use` while an unfinished job in one of these needs it.
+        Raises the kind's `missing`, and its `in_use` while an unfinished job or sweep in one of these needs
+        it.
         """
         ...

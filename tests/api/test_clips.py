@@ -32,6 +32,7 @@ from core.errors import JobFailed
 from core.jobs.store import JobQuery
 from core.reasons import Reason
 from core.storage import keys
+from core.sweeps.controller import SweepController
 from core.uploads import library
 from gaitway.cli.main import app
 from tests.api import test_models
@@ -196,6 +197,24 @@ def test_a_job_names_clips_of_its_body_and_they_stay_while_it_needs_them(stack: 
     document = problem(stack.http.delete(f"/clips/{clips}"), 409, "clips-in-use")
     assert document["jobs"] == [answer.json()["id"]]
     stack.http.post(f"/jobs/{answer.json()['id']}/cancel")
+    assert stack.http.delete(f"/clips/{clips}").status_code == 204
+
+
+def test_clips_stay_while_a_sweep_is_to_make_jobs_of_them(stack: Stack, clips: str) -> None:
+    of_others = {"clips": [{"file": clips, "names": ["walk"]}]}
+    sweep = {
+        "job": job({"file": clips, "names": ["turn"]}),
+        "method": "grid",
+        "parameters": {"environment.options.reference": [of_others]},
+        "objective": {"metric": "eval/episode_clip_followed", "direction": "maximize"},
+    }
+    answer = stack.http.post("/sweeps", json=sweep)
+    assert answer.status_code == 202, answer.text
+    document = problem(stack.http.delete(f"/clips/{clips}"), 409, "clips-in-use")
+    assert (document["jobs"], document["sweeps"]) == ([], [answer.json()["id"]])
+    assert "1 unfinished sweeps need the clips" in document["detail"]
+    stack.http.post(f"/sweeps/{answer.json()['id']}/cancel")
+    SweepController(stack.store, stack.queue, stack.objects).run_once()
     assert stack.http.delete(f"/clips/{clips}").status_code == 204
 
 

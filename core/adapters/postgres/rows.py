@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from datetime import timedelta
 from typing import Any, cast
 
@@ -29,7 +29,7 @@ from sqlalchemy import cast as cast_to
 from sqlalchemy.dialects.postgresql import aggregate_order_by
 
 from core.adapters.postgres.engine import DriverStatement
-from core.adapters.postgres.tables import NOW, UNFINISHED, artifacts, attempts, clip_files, jobs
+from core.adapters.postgres.tables import NOW, UNFINISHED, artifacts, attempts, clip_files, jobs, sweeps
 from core.bounds import LONGEST_MESSAGE
 from core.documents import read_leniently
 from core.errors import JobNotFound, JobUnreadable
@@ -282,6 +282,13 @@ def users_of(upload_id: str) -> Any:
     names = or_(jobs.c.model == upload_id, literal(upload_id) == any_(jobs.c.clip_files))
     wanted = select(jobs.c.id, jobs.c.project).where(jobs.c.status.in_(UNFINISHED), names)
     return wanted.order_by(jobs.c.id)
+
+
+def sweeps_naming(upload_id: str, projects: Collection[str]) -> Any:
+    """The ids of the unfinished sweeps in these projects that name this model or file of clips, among their
+    axes' values, too."""
+    wanted = select(sweeps.c.id).where(sweeps.c.finished_at.is_(None), sweeps.c.project.in_(projects))
+    return wanted.where(sweeps.c.spec.contains(upload_id, autoescape=True)).order_by(sweeps.c.id)
 
 
 def readable(job: Job | UnreadableJob) -> Job:

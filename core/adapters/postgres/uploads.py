@@ -17,7 +17,7 @@ from core.adapters.postgres import listing
 from core.adapters.postgres.engine import Session
 from core.adapters.postgres.errors import Breaker
 from core.adapters.postgres.listing import check_upload_cursor, upload_cursor
-from core.adapters.postgres.rows import columns, users_of, words
+from core.adapters.postgres.rows import columns, sweeps_naming, users_of, words
 from core.adapters.postgres.tables import (
     NOW,
     clip_file_projects,
@@ -163,8 +163,10 @@ class UploadQueries(Session, Generic[Record]):
             if connection.execute(held).first() is None:
                 raise self.kind.missing(upload_id)
             users = connection.execute(users_of(upload_id)).all()
-            if needed := [job.id for job in users if job.project in projects]:
-                raise self.kind.in_use(upload_id, needed)
+            needed = [job.id for job in users if job.project in projects]
+            to_come = connection.execute(sweeps_naming(upload_id, projects)).scalars().all()
+            if needed or to_come:
+                raise self.kind.in_use(upload_id, needed, to_come)
             connection.execute(delete(table).where(is_its, table.c.project.in_(projects)))
             if users or connection.execute(select(table.c.project).where(is_its)).first() is not None:
                 return False
