@@ -1,8 +1,9 @@
 """`gaitway sweep`: start one; `gaitway sweeps`: list, show, change, cancel, resume, delete."""
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
+from itertools import islice
 from typing import Annotated
 
 import typer
@@ -25,6 +26,7 @@ sweeps = typer.Typer(cls=CommandGroup, help="See sweeps and what came of them.",
 SweepName = Annotated[str, typer.Argument(metavar="SWEEP", help="A sweep's id, its end, or `last`.")]
 _STYLES = {"succeeded": "green", "failed": "red", "running": "cyan"}
 _EVERY_S = 1.0
+_MOST_REASONS = 3
 
 
 def sweep(
@@ -213,7 +215,17 @@ def _state(sweep: SweepDetails) -> RenderableType:
         f"importance for {metric}: " + ", ".join(f"{axis} {share:.0%}" for axis, share in _by_share(shares))
         for metric, shares in (sweep.importance or {}).items()
     ]
+    lines += islice(_reasons(sweep), _MOST_REASONS)
     return Lines(*(Text(line) for line in lines), _trials(sweep))
+
+
+def _reasons(sweep: SweepDetails) -> Iterator[str]:
+    """Why trials have no result; of several that say the same, the first."""
+    told = set[str]()
+    for trial in sweep.trials:
+        if trial.status in ("failed", "refused") and trial.message and trial.message not in told:
+            told.add(trial.message)
+            yield f"trial {trial.number} {trial.status}: {trial.message}"
 
 
 def _by_share(shares: Mapping[str, float]) -> list[tuple[str, float]]:

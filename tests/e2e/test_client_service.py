@@ -541,6 +541,26 @@ def test_the_cli_shows_from_which_trial_another_one_resumed(stack: Stack, tmp_pa
     ]
 
 
+def test_the_cli_says_why_trials_have_no_result(stack: Stack, tmp_path: Path) -> None:
+    file = tmp_path / "sweep.json"
+    file.write_text(json.dumps({**SWEEP, "parameters": {"seed": [1, 2, 3]}}))
+    sweep_id = gaitway(stack, "sweep", str(file)).output.strip()
+    look = SweepController(stack.store, stack.queue, stack.objects).run_once
+    look()
+    for trial in stack.store.trials([sweep_id])[sweep_id]:
+        attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
+        if trial.number:
+            attempt.end(JobStatus.FAILED, Reason.DIVERGED)
+        else:
+            attempt.end()
+    look()
+    shown = gaitway(stack, "sweeps", "show", "last").output
+    # The third says what the second does.
+    assert [line for line in shown.splitlines() if " failed: " in line] == [
+        "trial 1 failed: It came to its end."
+    ]
+
+
 def test_sweeps_by_the_cli(stack: Stack, tmp_path: Path) -> None:
     file = tmp_path / "sweep.json"
     file.write_text(json.dumps({**SWEEP, "name": "[red]seeds[/]"}))
