@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import Self
 
@@ -15,6 +15,7 @@ import numpy as np
 from core.environments.action_to_control import ActionToControl
 from core.environments.deployment import Deployment, NotDeployed, deployment
 from core.environments.environment import TRUNCATED, Observation, State
+from core.environments.episode_chance import Chance, CommandSampler, Events, Purpose
 from core.environments.episode_start import RandomStart, first_motion, first_positions
 from core.environments.info import CRITIC_GROUP, POLICY_GROUP
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
@@ -25,8 +26,8 @@ from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.terms import foot_times
 from core.environments.terms.actions import of_the_body
-from core.environments.terms.binding import BoundTerm, bound
-from core.environments.terms.commands import CommandTerm, PositionCommand, VelocityCommand
+from core.environments.terms.binding import bound
+from core.environments.terms.commands import PositionCommand, VelocityCommand
 from core.environments.terms.describe import height_of, root_of
 from core.environments.terms.feet import feet_of
 from core.environments.terms.followed import Followed
@@ -49,14 +50,11 @@ from core.environments.terms.terminations import OutsideHeightRange, Termination
 from core.environments.terms.vocabulary import AnyReward
 from core.environments.terrain.grid import LAYOUT, WALKED, TerrainGrid
 from core.environments.trajectory import FollowedClip
-from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, SolverSettings
 
 _LOWEST, _HIGHEST = 0.4, 2.0
-# Folded into a reset's key: the keys of the episode's own random numbers, and of where it begins.
-_OF_THE_EPISODE, _OF_THE_START = 7, 11
-# What random numbers of a step are for, folded into their key: events have those from 3 on.
-_OF_THE_GROUP, _OF_THE_ACTION = 100, 101
-_OF_THE_TERRAIN, _OF_THE_REFERENCE = 8, 9
+# Folded into a reset's key, from which `Chance` takes its own.
+_OF_THE_TERRAIN, _OF_THE_REFERENCE, _OF_THE_START = 8, 9, 11
 
 
 @dataclass(frozen=True)
@@ -97,14 +95,11 @@ class TaskEnv(MujocoEnv):
         if options.reference is not None:
             followed = Followed.of(options.reference, model, root)
             named = replace(named, followed_parts=followed, frames_ahead=options.reference.ahead.frames)
-        self._draw = self._tell = None
+        self._command = None
         if options.command is not None:
-            self._draw, self._tell = _commanded(options.command, named)
-            named = replace(named, num_targets=self._draw.size)
-        self._events = [
-            bound(event, named, "drawn", np.zeros(event.num_random), size=model.nv)
-            for event in options.events
-        ]
+            self._command = CommandSampler(options.command, named)
+            named = replace(named, num_targets=self._command.num_targets)
+        self._events = Events(options.events, named)
         paid = options.reward or _default_reward()
         self._names = metric_names(paid)
         self._weights = [term.sign * term.weight for term in paid]
@@ -126,9 +121,8 @@ class TaskEnv(MujocoEnv):
         self._metrics = [bound(term, named) for term in reported(options)]
         read_by_feet = FIELDS if "foot_times" in self._memory else ()
         groups = [self._policy, *([self._critic] if self._critic else [])]
-        commands = [part for part in (self._draw, self._tell) if part is not None]
-        moving = (*self._events, self.action_to_control)
-        read_by = (*self._rewards, *groups, *self._ends, *self._metrics, *commands, *moving)
+        changing = [self._events, self.action_to_control, *([self._command] if self._command else [])]
+        read_by = (*self._rewards, *groups, *self._ends, *self._metrics, *changing)
         read = (part.derived for part in read_by)
         fields = set[str](read_by_feet).union(*read)
         engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=settings.solver)
@@ -143,11 +137,11 @@ class TaskEnv(MujocoEnv):
         self._spec, self._parts, self._inventory = spec, named, parts
         self._grid = _terrain(options, model, start, named)
         self._cell: jax.Array | None = None
-        self._has_chance, self._command = True, None
         is_moved = options.reset.moves_root or options.reset.joints is not None
         self._start = RandomStart(options.reset, named) if is_moved else None
-        self._is_random = bool(options.command or options.gait or options.events)
-        self._is_random |= self._policy.is_random or self.action_to_control.is_random
+        is_random = bool(options.command or options.gait or options.events)
+        is_random |= self._policy.is_random or self.action_to_control.is_random
+        self._chance = Chance(dt, is_needed=is_random)
         self.observation_size = self._policy.size
         if self._critic is not None:
             self.observation_size = {POLICY_GROUP: self._policy.size, CRITIC_GROUP: self._critic.size}
@@ -173,17 +167,15 @@ class TaskEnv(MujocoEnv):
         step = self._with_reference(self._grounded(step, info), info)
         if "previous_action" in self._memory:
             info["previous_action"] = nothing
-        if self._is_random:
-            info["key"] = jax.random.key_data(jax.random.fold_in(key, _OF_THE_EPISODE))
-            info["steps"] = jnp.zeros((), jnp.int32)
-        if options.command:
-            info |= self._carried(self._drawn(options.command, info, step), step)
+        info |= self._chance.begun(key)
+        if self._command is not None:
+            info |= self._command.begun(step, info, self._chance)
             if command is not None:
                 info["command"] = jnp.concatenate([command, info["command"][command.size :]])
         if options.gait:
-            info["phase"] = self._uniform(info, 1, 1)[0]
-        info |= self._policy.drawn(lambda number: self._uniform(info, number, _OF_THE_GROUP))
-        info |= self.action_to_control.begun(lambda number: self._uniform(info, number, _OF_THE_ACTION))
+            info["phase"] = self._chance.uniform(info, 1, Purpose.GAIT)[0]
+        info |= self._policy.drawn(partial(self._chance.uniform, info, purpose=Purpose.OBSERVATION))
+        info |= self.action_to_control.begun(partial(self._chance.uniform, info, purpose=Purpose.ACTION))
         step = replace(step, command=info.get("command"), target=info.get("target"))
         if "earlier_action" in self._memory:
             info["earlier_action"] = nothing
@@ -195,27 +187,29 @@ class TaskEnv(MujocoEnv):
         return initial(self._after(step, info))
 
     def placed(self, key: jax.Array, qpos: jax.Array, qvel: jax.Array) -> tuple[jax.Array, jax.Array]:
-        if self._start is None or not self._has_chance:
+        if self._start is None or self._chance.is_left_out:
             return qpos, qvel
         return self._start.placed(jax.random.fold_in(key, _OF_THE_START), qpos, qvel)
 
     def step(self, state: State, action: jax.Array) -> State:
-        info = dict(state.info)
-        if self._is_random:
-            info["steps"] = info["steps"] + 1
-        before = self._pushed(state.physics, info)
+        info = {**state.info, **self._chance.stepped(state.info)}
+        nothing, command, target = jnp.zeros(self.action_size), info.get("command"), info.get("target")
+        untouched = Step(state.physics, state.physics, nothing, nothing, self.dt, jnp, command, target)
+        beginning = self._events.applied(untouched, info, self._chance)
         reference = None
         if self._playback is not None:
             info[FRAME] = info[FRAME] + 1
             reference, _ = self._playback.state(info[FRAME])
-        beginning = self._at(before, info)
         control, entries = self.action_to_control.controls(action, beginning, info, reference)
         info |= entries
-        physics = self.action_to_control.stepped(self.engine, before, control)
-        carried = ("previous_action", "command", "target", "start")
-        previous, command, target, start = (info.get(name) for name in carried)
-        step = Step(
-            before, physics, action, previous, self.dt, jnp, command, target, start=start, control=control
+        physics = self.action_to_control.stepped(self.engine, beginning.after, control)
+        step = replace(
+            beginning,
+            after=physics,
+            action=action,
+            previous_action=info.get("previous_action"),
+            start=info.get("start"),
+            control=control,
         )
         step = self._with_reference(self._grounded(step, info), info)
         if "previous_action" in self._memory:
@@ -231,25 +225,10 @@ class TaskEnv(MujocoEnv):
             info[WALKED] = self._walked(self._grid, step, info)
         if (gait := self._options.gait) is not None:
             info["phase"] = (info["phase"] + gait.frequency * self.dt) % 1.0
-        if (command := self._options.command) is not None:
-            # The step is judged by the command that its action knew.
-            before_it = info["target" if command.follows else "command"]
-            fresh = self._drawn(command, info, step)
-            due = jnp.where(self._is_due(info, command.every_s), fresh, before_it)
-            info |= self._carried(due, step)
-        return self._after(step, info)
-
-    def _drawn(self, command: CommandTerm, info: Mapping[str, jax.Array], step: Step) -> jax.Array:
-        assert self._draw is not None  # noqa: S101 - there is a command
-        return jnp.float32(self._draw.measure(step, self._uniform(info, command.num_random, 0)))
-
-    def _carried(self, drawn: jax.Array, step: Step) -> dict[str, jax.Array]:
-        """What is carried of a command after a step."""
         if self._command is not None:
-            return {"command": self._command}
-        if self._tell is None:
-            return {"command": drawn}
-        return {"target": drawn, "command": jnp.float32(self._tell.measure(step, drawn))}
+            # `step` keeps the command that its action knew, and is judged by that.
+            info |= self._command.stepped(step, info, self._chance)
+        return self._after(step, info)
 
     @property
     def recorded(self) -> Mapping[str, str]:
@@ -374,30 +353,6 @@ class TaskEnv(MujocoEnv):
             asked = speed * self.dt
         return grid.walked(info[WALKED], here=here, way=way, asked=asked)
 
-    def _pushed(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> PhysicsState:
-        """The physics after the events of this step."""
-        for number, (event, term) in enumerate(zip(self._options.events, self._events, strict=False)):
-            uniform = self._uniform(info, event.num_random, 3 + number)
-            change = term.measure(self._at(physics, info), uniform)
-            change = jnp.where(self._is_due(info, event.every_s), change, 0.0)
-            physics = replace(physics, qvel=physics.qvel + change)
-        return physics
-
-    def _at(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> Step:
-        """A step that has not begun, for what changes how it begins."""
-        nothing, command, target = jnp.zeros(self.action_size), info.get("command"), info.get("target")
-        return Step(physics, physics, nothing, nothing, self.dt, jnp, command, target)
-
-    def _is_due(self, info: Mapping[str, jax.Array], every_s: float) -> jax.Array:
-        return info["steps"] % max(1, round(every_s / self.dt)) == 0
-
-    def _uniform(self, info: Mapping[str, jax.Array], number: int, purpose: int) -> jax.Array:
-        """Random numbers [number] in [0, 1) of this step, for one purpose; without chance, their mean."""
-        if not self._has_chance:
-            return jnp.full(number, 0.5)
-        of_the_step = jax.random.fold_in(jax.random.wrap_key_data(info["key"]), info["steps"])
-        return jax.random.uniform(jax.random.fold_in(of_the_step, purpose), (number,))
-
     @property
     def inventory(self) -> Inventory:
         """The model's parts."""
@@ -434,8 +389,8 @@ class TaskEnv(MujocoEnv):
         there = copy.copy(self)
         if self._grid is not None and ground is not None:
             there._grid = self._grid.given(ground)
-        there._options = self._options.model_copy(update={"events": []})
-        there._has_chance, there._command = False, command
+        there._chance, there._events = self._chance.left_out(), Events([], self._parts)
+        there._command = self._command and self._command.given(command)
         return there
 
     def _after(self, step: Step, info: Mapping[str, jax.Array]) -> State:
@@ -466,7 +421,9 @@ class TaskEnv(MujocoEnv):
     ) -> tuple[Observation, Mapping[str, jax.Array]]:
         """What is seen, and entries of `State.info` that the groups keep."""
         step = replace(step, command=info.get("command"))
-        noise = self._uniform(info, self._policy.width, 2) if self._policy.is_noisy else None
+        noise = None
+        if self._policy.is_noisy:
+            noise = self._chance.uniform(info, self._policy.width, Purpose.NOISE)
         seen, entries = self._policy.seen(step, info, noise)
         if self._critic is None:
             return seen, entries
@@ -483,15 +440,6 @@ def solver_settings(options: TaskOptions) -> SolverSettings:
         solver=options.solver,
         nconmax=options.nconmax,
     )
-
-
-def _commanded(command: CommandTerm, model: ModelIndex) -> tuple[BoundTerm, BoundTerm | None]:
-    """How a command is drawn, and what is told after that; None: what was drawn."""
-    size, random = None if command.follows else model.num_commands, np.zeros(command.num_random)
-    draw = bound(command, model, "drawn", random, size=size)
-    if not command.follows:
-        return draw, None
-    return draw, bound(command, model, "told", np.zeros(draw.size), size=model.num_commands)
 
 
 def _terrain(

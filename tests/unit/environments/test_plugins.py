@@ -25,6 +25,7 @@ from core.environments.plugins import LISTS, TABLE, Plugin, hold_only, load
 from core.environments.robots.info import ROBOTS
 from core.environments.task import TaskEnv
 from core.environments.terms.inventory import OF_PLUGINS
+from core.environments.terms.step import Step
 from core.environments.terms.task import TaskOptions
 from core.errors import EnvironmentNotFound, JobFailed, Rejected
 from core.jobs.job import Job
@@ -265,10 +266,13 @@ def test_an_event_of_a_package_changes_the_velocities(install: Install) -> None:
     )
     environment = catalog.make(info, options, engine_builder("native"))
     assert isinstance(environment, TaskEnv)
-    [kick] = environment._events  # pyright: ignore[reportPrivateUsage]
+    assert isinstance(options, TaskOptions)
+    [kick] = options.events
     at_rest = environment.reset(jax.random.key(0))
-    step = environment._at(at_rest.physics, at_rest.info)  # pyright: ignore[reportPrivateUsage]
-    np.testing.assert_allclose(kick.measure(step, np.array([0.75])), [0.0, 0.0, 1.5, 0.0])
+    nothing = jnp.zeros(2)
+    step = Step(at_rest.physics, at_rest.physics, nothing, nothing, environment.dt, jnp)
+    parts = environment._parts  # pyright: ignore[reportPrivateUsage]
+    np.testing.assert_allclose(kick.drawn(np.array([0.75]), step, parts), [0.0, 0.0, 1.5, 0.0])
     quiet = {"kind": "mylab/kick", "joints": ["hip"], "every_s": 0.02, "speed": 0.0}
     info, options = catalog.resolve("mylab/monopod", {"events": [quiet]})
     without = catalog.make(info, options, engine_builder("native"))

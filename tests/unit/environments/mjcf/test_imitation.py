@@ -192,12 +192,9 @@ def test_the_way_ahead_is_seen_in_the_roots_frame(tmp_path: Path) -> None:
     )
     state = environment.at_frame(jnp.int32(4)).reset(KEY)
     quarter = state.physics.qpos.at[3:7].set(jnp.array([0.5**0.5, 0, 0, 0.5**0.5]))
-    seen = environment._after(
-        environment._with_reference(
-            replace(environment._at(replace(state.physics, qpos=quarter), state.info)), state.info
-        ),
-        state.info,
-    ).obs
+    physics = replace(state.physics, qpos=quarter)
+    step = Step(physics, physics, NO_TORQUE, NO_TORQUE, environment.dt, jnp)
+    seen = environment._after(environment._with_reference(step, state.info), state.info).obs
     # One step ahead is row 5, and four rows ahead row 8: 0.01 and 0.04 m along the world's x, which is −y of
     # the root, turned by a quarter to the left. There x turns to −y, and y to x.
     assert seen[:6].tolist() == pytest.approx([0, -0.01, 0, 0, -0.04, 0], abs=1e-6)
