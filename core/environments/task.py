@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial, reduce
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -14,45 +14,37 @@ import numpy as np
 
 from core.environments.action_to_control import ActionToControl
 from core.environments.deployment import Deployment, NotDeployed, deployment
-from core.environments.environment import TRUNCATED, Observation, State
+from core.environments.environment import TRUNCATED, State
 from core.environments.episode_chance import Chance, CommandSampler, Events, Purpose
 from core.environments.episode_start import RandomStart, first_motion, first_positions
-from core.environments.info import CRITIC_GROUP, POLICY_GROUP
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
-from core.environments.observation_group import ObservationGroup
 from core.environments.reference.parts import Parts, Record
 from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
+from core.environments.task_terms import TaskTerms
 from core.environments.terms import foot_times
 from core.environments.terms.actions import of_the_body
-from core.environments.terms.binding import bound
 from core.environments.terms.commands import PositionCommand, VelocityCommand
-from core.environments.terms.describe import height_of, root_of
+from core.environments.terms.describe import root_of
 from core.environments.terms.feet import feet_of
 from core.environments.terms.followed import Followed
 from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.reference import compared_bodies
-from core.environments.terms.rewards import Alive, ControlCost, ForwardVelocity
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.task import (
     TaskOptions,
-    metric_names,
     num_substeps,
     observed,
     parts_of,
     placed_terms,
-    reported,
 )
-from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
-from core.environments.terms.vocabulary import AnyReward
 from core.environments.terrain.grid import LAYOUT, WALKED, TerrainGrid
 from core.environments.trajectory import FollowedClip
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, SolverSettings
 
-_LOWEST, _HIGHEST = 0.4, 2.0
 # Folded into a reset's key, from which `Chance` takes its own.
 _OF_THE_TERRAIN, _OF_THE_REFERENCE, _OF_THE_START = 8, 9, 11
 
@@ -100,31 +92,19 @@ class TaskEnv(MujocoEnv):
             self._command = CommandSampler(options.command, named)
             named = replace(named, num_targets=self._command.num_targets)
         self._events = Events(options.events, named)
-        paid = options.reward or _default_reward()
-        self._names = metric_names(paid)
-        self._weights = [term.sign * term.weight for term in paid]
-        self._rewards = [bound(term, named) for term in paid]
         frames = num_substeps(options, model.opt.timestep)
         dt = frames * model.opt.timestep
-        self._policy = ObservationGroup(POLICY_GROUP, observed(options), named, dt, is_exact=False)
-        self._critic = None
-        if options.critic is not None:
-            self._critic = ObservationGroup(CRITIC_GROUP, options.critic, named, dt, is_exact=True)
-        self.action_to_control = ActionToControl(options.action, named, self._policy, dt)
+        self._terms = TaskTerms(options, parts, named, dt)
+        policy = self._terms.policy
+        self.action_to_control = ActionToControl(options.action, named, policy, dt)
         self._playback = None
         if options.reference is not None:
             self._playback = Playback.of(options.reference, named, dt, settings.clips)
         self._options, self._memory = options, options.memory
-        height = height_of(model, start, root)
-        ends = _default_ends(parts, height) if options.termination is None else options.termination
-        self._ends = [bound(term, named) for term in ends]
-        self._metrics = [bound(term, named) for term in reported(options)]
         read_by_feet = FIELDS if "foot_times" in self._memory else ()
-        groups = [self._policy, *([self._critic] if self._critic else [])]
-        changing = [self._events, self.action_to_control, *([self._command] if self._command else [])]
-        read_by = (*self._rewards, *groups, *self._ends, *self._metrics, *changing)
-        read = (part.derived for part in read_by)
-        fields = set[str](read_by_feet).union(*read)
+        reading = [self._terms, self._events, self.action_to_control]
+        reading += [self._command] if self._command else []
+        fields = set[str](read_by_feet).union(*(part.derived for part in reading))
         engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=settings.solver)
         super().__init__(model, engine, num_substeps=frames, observation_size=0, tracked_body=root)
         self.aliases, self.reports_rewards = settings.aliases, settings.reports_rewards
@@ -140,11 +120,9 @@ class TaskEnv(MujocoEnv):
         is_moved = options.reset.moves_root or options.reset.joints is not None
         self._start = RandomStart(options.reset, named) if is_moved else None
         is_random = bool(options.command or options.gait or options.events)
-        is_random |= self._policy.is_random or self.action_to_control.is_random
+        is_random |= policy.is_random or self.action_to_control.is_random
         self._chance = Chance(dt, is_needed=is_random)
-        self.observation_size = self._policy.size
-        if self._critic is not None:
-            self.observation_size = {POLICY_GROUP: self._policy.size, CRITIC_GROUP: self._critic.size}
+        self.observation_size = self._terms.observation_size
 
     def reset(
         self, key: jax.Array, model: ModelFields = NOMINAL, *, command: jax.Array | None = None
@@ -174,7 +152,7 @@ class TaskEnv(MujocoEnv):
                 info["command"] = jnp.concatenate([command, info["command"][command.size :]])
         if options.gait:
             info["phase"] = self._chance.uniform(info, 1, Purpose.GAIT)[0]
-        info |= self._policy.drawn(partial(self._chance.uniform, info, purpose=Purpose.OBSERVATION))
+        info |= self._terms.policy.drawn(partial(self._chance.uniform, info, purpose=Purpose.OBSERVATION))
         info |= self.action_to_control.begun(partial(self._chance.uniform, info, purpose=Purpose.ACTION))
         step = replace(step, command=info.get("command"), target=info.get("target"))
         if "earlier_action" in self._memory:
@@ -396,9 +374,10 @@ class TaskEnv(MujocoEnv):
     def _after(self, step: Step, info: Mapping[str, jax.Array]) -> State:
         if (gait := self._options.gait) is not None:
             step = replace(step, phases=gait.phases(info["phase"], step))
-        ended = [term.measure(step) for term in self._ends]
-        done = reduce(jnp.maximum, ended, jnp.zeros(()))
-        obs, remembered = self._observe(step, info)
+        done = self._terms.ended(step)
+        # The policy sees the command of the next step.
+        told = replace(step, command=info.get("command"))
+        obs, remembered = self._terms.seen(told, info, self._chance)
         if self._playback is not None:
             is_over = self._playback.is_over(info[FRAME])
             remembered = {**remembered, TRUNCATED: is_over * (1.0 - done)}
@@ -406,29 +385,11 @@ class TaskEnv(MujocoEnv):
         return self.stepped(
             step.after,
             obs,
-            rewards={
-                name: weight * term.measure(step)
-                for name, weight, term in zip(self._names, self._weights, self._rewards, strict=True)
-            },
+            rewards=self._terms.rewards(step),
             done=done,
-            metrics={name: value for term in self._metrics for name, value in term.measure(step).items()}
-            | ({} if self._grid is None else self._grid.metrics(info)),
+            metrics=self._terms.metrics(step) | ({} if self._grid is None else self._grid.metrics(info)),
             info={**info, **remembered},
         )
-
-    def _observe(
-        self, step: Step, info: Mapping[str, jax.Array]
-    ) -> tuple[Observation, Mapping[str, jax.Array]]:
-        """What is seen, and entries of `State.info` that the groups keep."""
-        step = replace(step, command=info.get("command"))
-        noise = None
-        if self._policy.is_noisy:
-            noise = self._chance.uniform(info, self._policy.width, Purpose.NOISE)
-        seen, entries = self._policy.seen(step, info, noise)
-        if self._critic is None:
-            return seen, entries
-        by_critic, its_entries = self._critic.seen(step, info, None)
-        return {POLICY_GROUP: seen, CRITIC_GROUP: by_critic}, {**entries, **its_entries}
 
 
 def solver_settings(options: TaskOptions) -> SolverSettings:
@@ -449,13 +410,3 @@ def _terrain(
         return None
     root = named.root_position
     return TerrainGrid(options.terrain, model, start[root : root + 2])
-
-
-def _default_reward() -> list[AnyReward]:
-    return [ForwardVelocity(), Alive(), ControlCost(weight=0.05)]
-
-
-def _default_ends(parts: Inventory, height: float) -> Sequence[TerminationTerm]:
-    if not parts.travels or height <= 0:
-        return []
-    return [OutsideHeightRange(range=(_LOWEST * height, _HIGHEST * height))]
