@@ -22,6 +22,7 @@ from core.environments.reference.parts import Parts, Record
 from core.environments.reference.playback import FIRST_FRAME, FRAME, Playback
 from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
+from core.environments.task_model import solver_settings
 from core.environments.task_terms import TaskTerms
 from core.environments.terms import foot_times
 from core.environments.terms.actions import of_the_body
@@ -41,11 +42,11 @@ from core.environments.terms.task import (
     parts_of,
     placed_terms,
 )
-from core.environments.terrain.grid import LAYOUT, WALKED, TerrainGrid
+from core.environments.terrain.grid import TerrainGrid
 from core.environments.trajectory import FollowedClip
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, SolverSettings
 
-# Folded into a reset's key, from which `Chance` takes its own.
+# Folded into a reset's key, as `episode_chance` folds in 7.
 _OF_THE_TERRAIN, _OF_THE_REFERENCE, _OF_THE_START = 8, 9, 11
 
 
@@ -78,15 +79,7 @@ class TaskEnv(MujocoEnv):
         settings = settings or TaskSettings(solver_settings(options))
         # A decoder stands outside: see `core.environments.wrappers.decoded`.
         options = options.model_copy(update={"action": of_the_body(options.action)})
-        root = model.body(options.root).id if options.root else root_of(model)
-        start = first_positions(model, options.reset)
-        named_by_terms = parts_of(options, parts)
-        num_commands, num_actions = len(named_by_terms.command), len(named_by_terms.acting)
-        feet = feet_of(model, options.feet, start)
-        named = ModelIndex(model, root, start, feet, num_commands, num_actions)
-        if options.reference is not None:
-            followed = Followed.of(options.reference, model, root)
-            named = replace(named, followed_parts=followed, frames_ahead=options.reference.ahead.frames)
+        named = _indexed(options, parts, model)
         self._command = None
         if options.command is not None:
             self._command = CommandSampler(options.command, named)
@@ -106,17 +99,18 @@ class TaskEnv(MujocoEnv):
         reading += [self._command] if self._command else []
         fields = set[str](read_by_feet).union(*(part.derived for part in reading))
         engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=settings.solver)
-        super().__init__(model, engine, num_substeps=frames, observation_size=0, tracked_body=root)
+        super().__init__(model, engine, num_substeps=frames, observation_size=0, tracked_body=named.root)
         self.aliases, self.reports_rewards = settings.aliases, settings.reports_rewards
-        self.action_size = num_actions
+        self.action_size = named.num_actions
         self._lift = np.zeros(model.nq, np.float32)
-        if (free := named.free_joint(root)) is not None:
+        if (free := named.free_joint(named.root)) is not None:
             self._lift[free + 2] = options.reset.lift
-        self.initial_qpos = jnp.asarray(start, jnp.float32) + self._lift
+        self.initial_qpos = jnp.asarray(named.pose, jnp.float32) + self._lift
         self.initial_qvel, self.initial_act = first_motion(model, options.reset)
         self._spec, self._parts, self._inventory = spec, named, parts
-        self._grid = _terrain(options, model, start, named)
-        self._cell: jax.Array | None = None
+        self._grid = None
+        if options.terrain is not None:
+            self._grid = TerrainGrid(options.terrain, named)
         is_moved = options.reset.moves_root or options.reset.joints is not None
         self._start = RandomStart(options.reset, named) if is_moved else None
         is_random = bool(options.command or options.gait or options.events)
@@ -200,7 +194,8 @@ class TaskEnv(MujocoEnv):
             info |= carried
             step = replace(step, foot_times=times)
         if self._grid is not None:
-            info[WALKED] = self._walked(self._grid, step, info)
+            is_velocity = isinstance(self._options.command, VelocityCommand)
+            info |= self._grid.stepped(step, info, step.command if is_velocity else None)
         if (gait := self._options.gait) is not None:
             info["phase"] = (info["phase"] + gait.frequency * self.dt) % 1.0
         if self._command is not None:
@@ -221,6 +216,15 @@ class TaskEnv(MujocoEnv):
                 return of_reference
 
     @property
+    def terrain_levels(self) -> TerrainGrid | None:
+        return self._grid if self._grid is not None and self._grid.has_curriculum else None
+
+    def at_terrain_cell(self, cell: jax.Array) -> "TaskEnv":
+        there = copy.copy(self)
+        there._grid = self._grid and self._grid.at_cell(cell)
+        return there
+
+    @property
     def clips(self) -> Sequence[FollowedClip]:
         """See `HasClips`."""
         return () if self._playback is None else self._playback.clips
@@ -228,15 +232,6 @@ class TaskEnv(MujocoEnv):
     def reference_positions(self, frames: np.ndarray) -> np.ndarray:
         """See `HasClips`."""
         return self._followed_playback.positions(frames)
-
-    @property
-    def terrain_levels(self) -> TerrainGrid | None:
-        return self._grid if self._grid is not None and self._grid.has_curriculum else None
-
-    def at_terrain_cell(self, cell: jax.Array) -> "TaskEnv":
-        there = copy.copy(self)
-        there._cell = cell
-        return there
 
     @property
     def adaptive_parts(self) -> Parts | None:
@@ -313,23 +308,13 @@ class TaskEnv(MujocoEnv):
         """The environment that begins where its ground is, the fields of the model, and entries of `info`."""
         if self._grid is None:
             return self, model, {}
-        fields, layout, lift = self._grid.draw(jax.random.fold_in(key, _OF_THE_TERRAIN), self._cell)
+        fields, lift, entries = self._grid.begun(jax.random.fold_in(key, _OF_THE_TERRAIN))
         there = copy.copy(self)
         there.initial_qpos = self.initial_qpos.at[self._parts.root_position + 2].add(lift)
-        return there, {**fields, **model}, {LAYOUT: layout, WALKED: jnp.zeros(3)}
+        return there, {**fields, **model}, entries
 
     def _grounded(self, step: Step, info: Mapping[str, jax.Array]) -> Step:
         return step if self._grid is None else replace(step, ground=self._grid.ground(info))
-
-    def _walked(self, grid: TerrainGrid, step: Step, info: Mapping[str, jax.Array]) -> jax.Array:
-        here = self._parts.position(step.after, self.tracked_body)[:2]
-        way = asked = jnp.zeros(())
-        if isinstance(self._options.command, VelocityCommand) and step.command is not None:
-            speed = jnp.linalg.norm(step.command[:2])
-            along = jnp.dot(self._parts.base_linear_velocity(step)[:2], step.command[:2])
-            way = jnp.where(speed > 0, along / jnp.maximum(speed, 1e-6), 0.0) * self.dt
-            asked = speed * self.dt
-        return grid.walked(info[WALKED], here=here, way=way, asked=asked)
 
     @property
     def inventory(self) -> Inventory:
@@ -392,21 +377,13 @@ class TaskEnv(MujocoEnv):
         )
 
 
-def solver_settings(options: TaskOptions) -> SolverSettings:
-    """How far engines solve under these options."""
-    return SolverSettings(
-        options.iterations,
-        options.ls_iterations,
-        implicit_damping=True,
-        solver=options.solver,
-        nconmax=options.nconmax,
-    )
-
-
-def _terrain(
-    options: TaskOptions, model: mujoco.MjModel, start: np.ndarray, named: ModelIndex
-) -> TerrainGrid | None:
-    if options.terrain is None:
-        return None
-    root = named.root_position
-    return TerrainGrid(options.terrain, model, start[root : root + 2])
+def _indexed(options: TaskOptions, parts: Inventory, model: mujoco.MjModel) -> ModelIndex:
+    """The model's parts as the terms name them; how many numbers a command follows from is not known yet."""
+    root = model.body(options.root).id if options.root else root_of(model)
+    start, named = first_positions(model, options.reset), parts_of(options, parts)
+    feet = feet_of(model, options.feet, start)
+    index = ModelIndex(model, root, start, feet, len(named.command), len(named.acting))
+    if options.reference is None:
+        return index
+    followed = Followed.of(options.reference, model, root)
+    return replace(index, followed_parts=followed, frames_ahead=options.reference.ahead.frames)

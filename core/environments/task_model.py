@@ -10,6 +10,7 @@ from core.environments.terms.readings import Reading
 from core.environments.terms.task import TaskOptions
 from core.environments.terrain.model import add_boxes
 from core.errors import JobFailed
+from core.physics.engine import SolverSettings
 from core.reasons import Reason
 
 
@@ -45,6 +46,17 @@ def stepped_model(spec: mujoco.MjSpec, options: TaskOptions, parts: Inventory) -
     if options.terrain is not None:
         add_boxes(spec, compiled(spec), options.terrain)
     return compiled(spec, options.timestep, options.readings(parts), options.sensors)
+
+
+def solver_settings(options: TaskOptions) -> SolverSettings:
+    """How far engines solve under these options."""
+    return SolverSettings(
+        options.iterations,
+        options.ls_iterations,
+        implicit_damping=True,
+        solver=options.solver,
+        nconmax=options.nconmax,
+    )
 
 
 def sentence(error: Exception, folder: str) -> str:

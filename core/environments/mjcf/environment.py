@@ -9,8 +9,8 @@ from core.environments.mjcf.edit_options import HOME
 from core.environments.mjcf.edits import edit
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.model import read
-from core.environments.task import TaskEnv, TaskSettings, solver_settings
-from core.environments.task_model import compiled, stepped_model
+from core.environments.task import TaskEnv, TaskSettings
+from core.environments.task_model import compiled, solver_settings, stepped_model
 from core.environments.terms.describe import inventory
 from core.environments.terms.task import TaskOptions
 from core.errors import JobFailed, Problem

@@ -9,7 +9,7 @@ from core.environments.mjcf.edit_options import ModelEdits
 from core.environments.mjcf.edits import edit
 from core.environments.robots.info import ROBOTS
 from core.environments.robots.robot import Robot
-from core.environments.task import solver_settings
+from core.environments.task_model import solver_settings
 from core.environments.terms.task import TaskOptions
 from core.installation import to_install_robots
 from core.physics.engine import SolverSettings

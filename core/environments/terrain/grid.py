@@ -10,6 +10,7 @@ import numpy as np
 
 from core.environments.environment import State
 from core.environments.simulation import SimulatedLayout, SimulatedTerrain
+from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.terrain import Ground, Terrain
 from core.environments.terrain.layouts import NUM_VARIANTS, REACH, draw_layouts
 from core.environments.terrain.model import boxes_of, floor_of
@@ -21,14 +22,15 @@ LAYOUT, WALKED = "terrain", "walked"
 
 
 class TerrainGrid:
-    """The layouts of a terrain about one place.
+    """The layouts of a terrain about the place where episodes begin. parts: of a model that has the terrain's
+    boxes, and a root with a free joint."""
 
-    model: has the terrain's boxes. centre: x and y of the start, in m.
-    """
-
-    def __init__(self, terrain: Terrain, model: mujoco.MjModel, centre: np.ndarray) -> None:
+    def __init__(self, terrain: Terrain, parts: ModelIndex) -> None:
+        model, self._parts = parts.model, parts
+        centre = parts.pose[parts.root_position : parts.root_position + 2]
         self._layouts = draw_layouts(terrain)
         self._boxes = boxes_of(model)
+        self._cell: jax.Array | None = None
         self._given: Ground | None = None
         self._nominal = {
             name: jnp.asarray(getattr(model, name), jnp.float32)
@@ -40,14 +42,23 @@ class TerrainGrid:
         self.num_cells = len(terrain.kinds) * terrain.num_levels
         self.has_curriculum = terrain.has_curriculum
 
-    def draw(self, key: jax.Array, cell: jax.Array | None) -> tuple[ModelFields, jax.Array, jax.Array]:
-        """The fields of the model, the layout [] int32 and the height of the ground at the start [] in m.
+    def at_cell(self, cell: jax.Array) -> "TerrainGrid":
+        """The terrain on which episodes begin in this cell: kind × levels + level, [] int32."""
+        there = copy.copy(self)
+        there._cell = cell
+        return there
 
-        cell: kind × levels + level, [] int32; None: any.
-        """
+    def begun(self, key: jax.Array) -> tuple[ModelFields, jax.Array, dict[str, jax.Array]]:
+        """The fields of the model, the height of the ground at the start [] in m, and entries of
+        `State.info`, of an episode that begins."""
+        fields, layout, lift = self._drawn(key)
+        return fields, lift, {LAYOUT: layout, WALKED: jnp.zeros(3)}
+
+    def _drawn(self, key: jax.Array) -> tuple[ModelFields, jax.Array, jax.Array]:
         if self._given is not None:
             return {}, jnp.zeros((), jnp.int32), jnp.zeros(())
         cell_key, variant_key = jax.random.split(key)
+        cell = self._cell
         if cell is None:
             cell = jax.random.randint(cell_key, (), 0, self.num_cells)
         layout = cell * NUM_VARIANTS + jax.random.randint(variant_key, (), 0, NUM_VARIANTS)
@@ -127,10 +138,20 @@ class TerrainGrid:
         shares = {f"terrain_level_{n}": jnp.where(level == n, 1.0, 0.0) for n in levels}
         return {"terrain_level": level.astype(jnp.float32)} | (shares if self._num_levels > 1 else {})
 
-    def walked(self, walked: jax.Array, *, here: jax.Array, way: jax.Array, asked: jax.Array) -> jax.Array:
-        """`WALKED` after a step. here: x and y of the root. way, asked: those of the step alone."""
-        distance = jnp.linalg.norm(here - self._origin[:2])
-        return jnp.stack([jnp.maximum(walked[0], distance), walked[1] + way, walked[2] + asked])
+    def stepped(
+        self, step: Step, info: Mapping[str, jax.Array], velocity: jax.Array | None
+    ) -> dict[str, jax.Array]:
+        """Entries of `State.info` after a step. velocity: that was commanded, forward and left in m/s first;
+        None: none was."""
+        here = self._parts.position(step.after, self._parts.root)[:2]
+        way = asked = jnp.zeros(())
+        if velocity is not None:
+            speed = jnp.linalg.norm(velocity[:2])
+            along = jnp.dot(self._parts.base_linear_velocity(step)[:2], velocity[:2])
+            way = jnp.where(speed > 0, along / jnp.maximum(speed, 1e-6), 0.0) * step.dt
+            asked = speed * step.dt
+        walked, distance = info[WALKED], jnp.linalg.norm(here - self._origin[:2])
+        return {WALKED: jnp.stack([jnp.maximum(walked[0], distance), walked[1] + way, walked[2] + asked])}
 
     def first_cells(self, key: jax.Array, number: int) -> jax.Array:
         """Where environments begin, [number] int32: all kinds, at any of the lower half of the levels."""
