@@ -24,24 +24,17 @@ from core.environments.simulated_model import NotSimulated
 from core.environments.simulation import Simulation, simulation_of
 from core.environments.task_model import solver_settings
 from core.environments.task_terms import TaskTerms
-from core.environments.terms import foot_times
 from core.environments.terms.actions import of_the_body
 from core.environments.terms.commands import PositionCommand, VelocityCommand
 from core.environments.terms.describe import root_of
 from core.environments.terms.feet import feet_of
 from core.environments.terms.followed import Followed
-from core.environments.terms.foot_times import FIELDS
 from core.environments.terms.inventory import Inventory
+from core.environments.terms.memory import StepMemory
 from core.environments.terms.observations import ObservationTerm
 from core.environments.terms.reference import compared_bodies
 from core.environments.terms.step import ModelIndex, Step
-from core.environments.terms.task import (
-    TaskOptions,
-    num_substeps,
-    observed,
-    parts_of,
-    placed_terms,
-)
+from core.environments.terms.task import TaskOptions, num_substeps, observed, parts_of, placed_terms
 from core.environments.terrain.grid import TerrainGrid
 from core.environments.trajectory import FollowedClip
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, SolverSettings
@@ -93,12 +86,11 @@ class TaskEnv(MujocoEnv):
         self._playback = None
         if options.reference is not None:
             self._playback = Playback.of(options.reference, named, dt, settings.clips)
-        self._options, self._memory = options, options.memory
-        read_by_feet = FIELDS if "foot_times" in self._memory else ()
-        reading = [self._terms, self._events, self.action_to_control]
+        self._options, self._memory = options, StepMemory(options.memory, named)
+        reading = [self._terms, self._memory, self._events, self.action_to_control]
         reading += [self._command] if self._command else []
-        fields = set[str](read_by_feet).union(*(part.derived for part in reading))
-        engine = build_engine(model, frames, tuple(sorted(fields)), accelerated=settings.solver)
+        fields = sorted({name for part in reading for name in part.derived})
+        engine = build_engine(model, frames, tuple(fields), accelerated=settings.solver)
         super().__init__(model, engine, num_substeps=frames, observation_size=0, tracked_body=named.root)
         self.aliases, self.reports_rewards = settings.aliases, settings.reports_rewards
         self.action_size = named.num_actions
@@ -133,13 +125,10 @@ class TaskEnv(MujocoEnv):
             normal_velocity=reset.velocity_distribution == "normal",
         )
         nothing = jnp.zeros(self.action_size)
-        start = self._parts.position(physics, self.tracked_body) if "start" in self._memory else None
-        step = Step(physics, physics, nothing, nothing, self.dt, jnp, start=start, control=nothing)
-        info |= {} if start is None else {"start": start}
+        step = Step(physics, physics, nothing, nothing, self.dt, jnp, control=nothing)
         step = self._with_reference(self._grounded(step, info), info)
-        if "previous_action" in self._memory:
-            info["previous_action"] = nothing
-        info |= self._chance.begun(key)
+        step, remembered = self._memory.begun(step)
+        info |= remembered | self._chance.begun(key)
         if self._command is not None:
             info |= self._command.begun(step, info, self._chance)
             if command is not None:
@@ -149,13 +138,6 @@ class TaskEnv(MujocoEnv):
         info |= self._terms.policy.drawn(partial(self._chance.uniform, info, purpose=Purpose.OBSERVATION))
         info |= self.action_to_control.begun(partial(self._chance.uniform, info, purpose=Purpose.ACTION))
         step = replace(step, command=info.get("command"), target=info.get("target"))
-        if "earlier_action" in self._memory:
-            info["earlier_action"] = nothing
-            step = replace(step, earlier_action=nothing)
-        if "foot_times" in self._memory:
-            times, carried = foot_times.at_start(step, self._parts)
-            info |= carried
-            step = replace(step, foot_times=times)
         return initial(self._after(step, info))
 
     def placed(self, key: jax.Array, qpos: jax.Array, qvel: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -175,24 +157,10 @@ class TaskEnv(MujocoEnv):
         control, entries = self.action_to_control.controls(action, beginning, info, reference)
         info |= entries
         physics = self.action_to_control.stepped(self.engine, beginning.after, control)
-        step = replace(
-            beginning,
-            after=physics,
-            action=action,
-            previous_action=info.get("previous_action"),
-            start=info.get("start"),
-            control=control,
-        )
+        step = replace(beginning, after=physics, action=action, control=control)
         step = self._with_reference(self._grounded(step, info), info)
-        if "previous_action" in self._memory:
-            info["previous_action"] = action
-        if "earlier_action" in self._memory:
-            step = replace(step, earlier_action=info["earlier_action"])
-            info["earlier_action"] = step.previous_action
-        if "foot_times" in self._memory:
-            times, carried = foot_times.after(info, step, self._parts)
-            info |= carried
-            step = replace(step, foot_times=times)
+        step, remembered = self._memory.after(step, info)
+        info |= remembered
         if self._grid is not None:
             is_velocity = isinstance(self._options.command, VelocityCommand)
             info |= self._grid.stepped(step, info, step.command if is_velocity else None)

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.environments.terms.foot_times import FootTimes
+from core.environments.terms.memory import FootTimes
 from core.environments.terms.reference import Following, Frame
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.term import Array, Term

@@ -14,7 +14,7 @@ from core.environments.randomization import FIELDS, FieldName
 from core.environments.terms.describe import touchable
 from core.environments.terms.feet import Foot
 from core.environments.terms.followed import Followed
-from core.environments.terms.foot_times import FootTimes
+from core.environments.terms.memory import FootTimes
 from core.environments.terms.readings import ContactCount, ContactForce, ContactNetForce, is_added
 from core.environments.terms.reference import Following
 from core.environments.terms.term import Array

@@ -15,7 +15,7 @@ from core.environments.environment import Environment
 from core.environments.mjcf.check import problems
 from core.environments.terms.describe import inventory
 from core.environments.terms.feet import feet_of
-from core.environments.terms.foot_times import FootTimes
+from core.environments.terms.memory import FootTimes
 from core.environments.terms.step import ModelIndex, Step
 from core.environments.terms.term import Term
 from core.environments.terms.terminations import AnyTermination
