@@ -57,6 +57,7 @@ def test_a_rat_runs_a_corridor_by_the_decoder_of_its_tracker(client: Client, tmp
     tracker = client.wait(tracker.id, timeout=300)
     assert tracker.succeeded, tracker.message
     assert [one["clip"] for one in client.battery(tracker.id)["clips"]] == ["rest"]
+    assert "battery/reached" in tracker.progress.metrics  # A sweep may choose by it.
 
     action = {"kind": "decoder", "job": tracker.id}
     runner: dict[str, Any] = {

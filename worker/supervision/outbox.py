@@ -274,6 +274,8 @@ def _advanced(progress: Progress, message: Message | str, newest: dict[str, floa
             return progress.model_copy(update={"phase": phase})
         case Advanced():
             return Progress(**message.model_dump(exclude={"type"}), metrics=newest, phase=progress.phase)
+        case Measured():  # What a battery finds comes after the last step.
+            return progress.model_copy(update={"metrics": newest})
         case _:
             return progress
 

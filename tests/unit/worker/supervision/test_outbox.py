@@ -117,6 +117,20 @@ def test_a_phase_is_part_of_the_progress_and_keeps_its_numbers(claim: Claim, tmp
     assert claim.store.get(claim.job_id).progress == Progress(step=7, total=10, phase="drawing")
 
 
+def test_what_is_measured_after_the_last_step_is_among_the_newest_metrics(
+    outbox: Outbox, claim: Claim
+) -> None:
+    outbox.put(Measured(step=5, values={"reward": 1.0}))
+    outbox.put(Advanced(step=5, total=5))
+    outbox.put(PhaseBegan(phase="testing"))
+    outbox.put(Measured(step=5, values={"battery/passed": 0.0}))
+    assert outbox.close(30)
+    metrics = {"reward": 1.0, "battery/passed": 0.0}
+    assert claim.store.get(claim.job_id).progress == Progress(
+        step=5, total=5, metrics=metrics, phase="testing"
+    )
+
+
 def test_what_is_said_before_a_file_is_stored_before_it(outbox: Outbox, claim: Claim, tmp_path: Path) -> None:
     outbox.put(Started(device="cpu", engine="native"))
     for step in (10, 20):
