@@ -168,9 +168,10 @@ def check_curriculum(reset_pool_size: int, environment: EnvironmentInfo) -> Reje
     """The refusal of a curriculum that changes nothing: environments always return to their first states."""
     if reset_pool_size or not environment.has_curriculum:
         return None
+    name = environment.curriculum_option.replace("/", ".")
     detail = (
         "With reset_pool_size = 0 every environment returns to its own first state for the whole run, so a "
-        "curriculum would change nothing: leave reset_pool_size out, or give up the curriculum."
+        f"curriculum would change nothing: leave reset_pool_size out, or give up that of `{name}`."
     )
     option = f"/environment/options/{environment.curriculum_option}"
     places = ("/algorithm/reset_pool_size", option)

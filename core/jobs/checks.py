@@ -178,8 +178,8 @@ def _check_battery(spec: JobSpec, job: ResolvedJob) -> None:
     task = task_of(job.info, job.options)
     if task is None or not can_be_tested(task):
         detail = (
-            f"A battery tests how well a policy follows velocity commands or clips, and {job.info.id} has "
-            "neither: leave `battery` out, or give a task made of terms a `command` or a `reference`."
+            "A battery tests how well a policy follows velocity commands or clips, and this task of "
+            f"{job.info.id} has neither: leave `battery` out{_what_could_be_tested(job.info)}."
         )
     elif spec.kind == "rollout" and not isinstance(spec.policy, CheckpointPolicy):
         detail = "A battery tests a trained policy: take that of a job's checkpoint, or leave `battery` out."
@@ -189,6 +189,14 @@ def _check_battery(spec: JobSpec, job: ResolvedJob) -> None:
         detail = f"A battery runs in C MuJoCo. {why}"
     if detail is not None:
         raise Rejected(detail, [Problem("/battery", detail)])
+
+
+def _what_could_be_tested(info: EnvironmentInfo) -> str:
+    """The end of a sentence: what makes a task of the environment one that a battery tests, if anything."""
+    options = info.options.model_fields
+    if "command" in options:
+        return ", or give it a `command` or a `reference`"
+    return ', or take `task`: "imitate" and a `reference`' if "reference" in options else ""
 
 
 def _check_training(spec: TrainSpec, job: ResolvedJob, store: JobStore) -> None:

@@ -73,7 +73,12 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/environment",
             "'playground/Go1JoystickFlatTerrain' is like it, but is not available here",
         ),
-        (MINIMAL | {"battery": True}, "/battery", "give a task made of terms a `command`"),
+        (MINIMAL | {"battery": True}, "/battery", "this task of ant has neither: leave `battery` out."),
+        (
+            MINIMAL | {"environment": "rodent", "battery": True},
+            "/battery",
+            'leave `battery` out, or take `task`: "imitate" and a `reference`.',
+        ),
         (
             {"kind": "rollout", "environment": "go1", "policy": {"kind": "zero"}, "battery": {}},
             "/battery",
