@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from core.environments.info import Slice, Spaces
 from core.environments.terms import array_slices
 from core.environments.terms.describe import inventory
+from core.environments.terms.metrics import UNITS
 from core.environments.trajectory import Episode, FollowedClip
 
 FORMAT, VERSION = "gaitway-recording", 1
@@ -55,8 +56,15 @@ _ACTIONS: Mapping[str, Quantity] = {
     "action": Quantity(None, "what the policy did, each number in [-1, 1]", "action"),
     "reward": Quantity("1", "what it got for that"),
 }
-_METRIC = Quantity("1", "the environment's own, in a unit of its own")
 _ACTIVATION = Quantity("1", "after the layer's non-linearity; row t is of the observation of row t", "neuron")
+
+
+def _metric(name: str) -> Quantity:
+    if name.startswith("reward_"):
+        return Quantity("1", "a term of the reward")
+    if (unit := UNITS.get(name)) is not None:
+        return Quantity(unit, "what a term measured")
+    return Quantity("1", "the environment's own, in a unit of its own")
 
 
 class RecordingWriter:
@@ -129,7 +137,7 @@ class RecordingWriter:
         for name, quantity in _ACTIONS.items():
             self._keep(group, name, getattr(episode, name), quantity, "action_time")
         for name, values in episode.metrics.items():
-            self._keep(group, f"metrics/{name}", values, _METRIC, "action_time")
+            self._keep(group, f"metrics/{name}", values, _metric(name), "action_time")
         for name, values in activations.items():
             self._keep(group, f"activations/{name}", values, _ACTIVATION, "action_time")
 

@@ -26,6 +26,16 @@ class MetricTerm(Term):
 
 
 METRICS = Kinds(MetricTerm, "measure")
+# Of what the terms here measure, by name. `joint_error` is in m for slides.
+UNITS: Mapping[str, str] = {
+    **dict.fromkeys(("x_position", "y_position", "height", "distance_from_origin"), "m"),
+    **dict.fromkeys(("x_velocity", "y_velocity", "velocity_error"), "m/s"),
+    **dict.fromkeys(("distance_from_start", "position_error", "height_error"), "m"),
+    **dict.fromkeys(("root_error", "body_error"), "m"),
+    **dict.fromkeys(("root_turn_error", "joint_error", "pitch_error"), "rad"),
+    "turn_error": "rad/s",
+    "clip_followed": "1",
+}
 
 
 class Travel(OfBody, MetricTerm):

@@ -13,6 +13,7 @@ from core.clips.clip import Clip
 from core.environments import catalog
 from core.environments.robots.model import robot
 from core.environments.task import TaskEnv
+from core.environments.terms.metrics import UNITS
 from core.errors import Rejected
 from core.jobs.resolved import resolve_job
 from core.jobs.spec import TrainSpec
@@ -52,6 +53,8 @@ def test_a_body_follows_its_own_rest(body: str, tmp_path: Path) -> None:
     after = jax.jit(environment.step)(state, jnp.zeros(environment.action_size))
     assert float(after.done) == 0.0
     assert float(after.metrics["root_error"]) < 0.06
+    # A recording says their units.
+    assert {name for name in after.metrics if not name.startswith("reward_")} <= {*UNITS, "lost_body"}
     assert float(after.reward) > 3.0  # Of 5.5.
 
 

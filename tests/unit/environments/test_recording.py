@@ -66,6 +66,7 @@ def test_every_number_has_a_name_and_a_unit_and_every_row_a_time(tmp_path: Path)
         for name in ("qpos", "qvel", "observation", "action", "reward"):
             np.testing.assert_array_equal(one[name], getattr(first, name))
         np.testing.assert_array_equal(one["activations/encoder/0"], layer)
+        assert one["metrics/x_velocity"].attrs["unit"] == "m/s"
         seen = one["observation"]
         assert [dimension.label for dimension in seen.dims] == ["time", "observation"]
         assert [*seen.dims[1]["names"].asstr()] == ["angle/cosine", "angle/sine", "speed/shoulder"]
