@@ -88,6 +88,7 @@ def _filled_in(
         raise _refusal(f"Job {source.id} has no policy of this kind.", "which")
     key, (row, had) = _seen_by(source), resolve_environment(source.spec.environment)
     here, before = task_of(info, options), task_of(row, had)
+    _check_shown_alike(options, source.id, had)
     found: dict[str, Any] = {"sees": key, "places": None, "clip_names": None}
     # Where the environments are the same but for their clips, an expert sees all that it saw.
     if differs := difference(source.spec.environment, spec.environment, info.free_in_rollouts):
@@ -100,7 +101,6 @@ def _filled_in(
         model = model_of_task(spec.environment, here, store)
         terms = (before.critic or ()) if key == CRITIC_GROUP else observed(before)
         found["sees"], found["places"] = _places(source.id, terms, before, here, model)
-    _check_shown_alike(options, source.id, had)
     if _choices(options) and expert.clips is None:
         found["clip_names"] = _own_clips(source.id, had, options, store)
     elif not _choices(options) and expert.clips is not None:

@@ -18,8 +18,8 @@ from core.jobs.store import JobStore
 # ends. A checkpoint's arrays have the same shapes under any of them.
 _PAYING = ("reward", "weight", "cost")
 _OF_EPISODES = ("reset", "termination")
-# A training that resumes from another job may change these fields of its `reference`: with other clips, an
-# observation still means the same.
+# What takes a policy of another job, a rollout or a training that resumes, may change these fields of its
+# `reference`: with other clips, an observation still means the same.
 _OF_CLIPS = ("clips", "sampling", "random_phase")
 _MOST_SHOWN = 100
 

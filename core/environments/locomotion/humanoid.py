@@ -101,7 +101,6 @@ HUMANOID = page(
     description="A body with two legs, two arms and 17 motors, rewarded for walking in +x and staying up.",
     # Brax reports the term under both names.
     reports={"aliases": {"forward_reward": "reward_linvel"}},
-    free_in_rollouts=("reference",),
     on_a_cpu=(
         Rule("compiled", 1, "Measured on two cores: physics 17 × that of native; 2.1 × for one environment."),
     ),

@@ -36,7 +36,7 @@ INFO = EnvironmentInfo(
     options=MjcfOptions,
     takes_model=True,
     vary=varied,
-    free_in_rollouts=("reference", "terrain"),
+    free_in_rollouts=("terrain",),
     curriculum_option="terrain/curriculum",
     on_a_cpu=(
         Rule(

@@ -148,7 +148,7 @@ def robot_page(robot: Robot, options: type[TaskOptions], description: str, **fac
         description=description,
         check=lambda task: problems(task, inventory_of(robot.name)),
         package=robot.package,
-        free_in_rollouts=("reference", "terrain"),
+        free_in_rollouts=("terrain",),
         curriculum_option="terrain/curriculum",
         vary=varied,
         on_a_cpu=(Rule("compiled", 1, "The robot's code is compiled for it alone."),),

@@ -12,6 +12,7 @@ from sqlalchemy import event, text
 
 from core.adapters.postgres.engine import connect_postgres
 from core.adapters.postgres.store import PostgresJobStore
+from core.clips.record import ClipFacts, ClipsDescription
 from core.errors import (
     IdempotencyKeyReused,
     JobFinished,
@@ -35,6 +36,7 @@ from core.jobs.submission import Acknowledgements, submit
 from core.reasons import Reason
 from core.storage import keys
 from core.user_models.record import ModelRecord
+from tests.contract.recording import clip_file
 from tests.feeds import read_feed
 from tests.in_memory import MemoryJobQueue, MemoryObjectStore
 from tests.unit.jobs.making import NOON, make_job
@@ -391,6 +393,28 @@ def test_a_rollout_may_lay_the_arena_out_anew_and_change_nothing_that_the_policy
         roll_out(kind="train", arena_seed=99)
     # An action of 0 used to mean another pose for a humanoid. An older policy still needs that pose.
     assert roll_out(zero_action="middle").spec.kind == "rollout"
+
+
+@pytest.mark.parametrize("body", ["g1", "humanoid", "rodent"])
+def test_a_rollout_follows_other_clips_that_its_policy_sees_as_before(service: Service, body: str) -> None:
+    walk = ClipFacts(name="walk", num_frames=51, rate=50.0, seconds=1.0)
+    found = ClipsDescription(format="csv", clips=[walk], joints=[])
+    files = [f"sha256:{digit * 64}" for digit in "12"]
+    for file in files:
+        service.store.clips.add(clip_file(file, body=body, description=found))
+
+    def follow(file: str, **reference: Any) -> dict[str, Any]:
+        options = {"task": "imitate", "reference": {"clips": [{"file": file}], **reference}}
+        return {"environment": {"id": body, "options": options}}
+
+    job = service.submit(**follow(files[0]))
+    claim = service.claim(job)
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
+    rollout = {"kind": "rollout", "policy": {"kind": "checkpoint", "job": job.id}}
+    service.submit(**rollout, **follow(files[1], random_phase=0.0))
+    for changed in ({"ahead": {"frames": 5}}, {"ahead": {"every_s": 0.02}}, {"bodies": ["pelvis"]}):
+        with pytest.raises(Rejected, match=f"differ at /environment/options/reference/{next(iter(changed))}"):
+            service.submit(**rollout, **follow(files[1], **changed))
 
 
 def test_a_recording_names_layers_that_the_policy_has_and_is_not_too_large(service: Service) -> None:

@@ -160,7 +160,6 @@ INFO = page(
     reports={"aliases": {"forward_reward": "reward_linvel"}},
     package="dm_control",
     vary=_under,
-    free_in_rollouts=("reference",),
     on_a_cpu=(Rule("compiled", 16, "Measured on two cores: 6.3 k training steps/s, 1.8 k by native."),),
     on_a_gpu=(
         Rule("compiled", 1, "Measured on an H200: 230 k control steps/s of physics, 136 k by warp."),
