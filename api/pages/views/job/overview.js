@@ -122,7 +122,7 @@ function Bars({ rows }) {
   return html`<ul class="bars">
     ${rows.map(
       ({ name, number, said }) => html`<li key=${name}>
-        <span>${name}</span>
+        <span>${name.split("_").map((part, at) => (at ? html`_<wbr />${part}` : part))}</span>
         <svg class="bar" viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true">
           <rect class=${number < 0 ? "minus" : ""} width=${(100 * Math.abs(number)) / most} height="8" />
         </svg>
