@@ -88,7 +88,6 @@ def _filled_in(
         raise _refusal(f"Job {source.id} has no policy of this kind.", "which")
     key, (row, had) = _seen_by(source), resolve_environment(source.spec.environment)
     here, before = task_of(info, options), task_of(row, had)
-    _check_shown_alike(options, source.id, had)
     found: dict[str, Any] = {"sees": key, "places": None, "clip_names": None}
     # Where the environments are the same but for their clips, an expert sees all that it saw.
     if differs := difference(source.spec.environment, spec.environment, info.free_in_rollouts):
@@ -96,6 +95,7 @@ def _filled_in(
             detail = f"The environment of job {source.id} is another one at {differs[0]}: {differs[1]}."
             raise _refusal(detail, "job")
         check_same_body(info, options, source, before)
+        _check_shown_alike(here, source.id, before)
         if here.action != before.action:
             raise _refusal(f"Job {source.id} was trained with another action: take the same.", "job")
         model = model_of_task(spec.environment, here, store)
@@ -143,9 +143,9 @@ def _seen_by(source: Job) -> str:
     return getattr(settings, "policy_obs_key", POLICY_GROUP)
 
 
-def _check_shown_alike(options: Strict, job_id: str, had: Strict) -> None:
+def _check_shown_alike(options: TaskOptions, job_id: str, had: TaskOptions) -> None:
     """Refuse a reference that the observation shows in another way than the one of the expert's job."""
-    here, there = (getattr(one, "reference", None) for one in (options, had))
+    here, there = options.reference, had.reference
     if here is None or there is None:
         return
     names = [name for name in _SHOWN_OF_A_REFERENCE if getattr(here, name) != getattr(there, name)]

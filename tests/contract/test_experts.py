@@ -102,6 +102,20 @@ def test_every_clip_has_one_expert(job_store: PostgresJobStore) -> None:
             submitted(*experts)
 
 
+def test_an_expert_that_saw_its_clips_in_another_way_is_refused(job_store: PostgresJobStore) -> None:
+    with_clips(job_store, "walk", "run")
+    expert = trained(job_store, options=following("walk"))
+    for changed in ({"ahead": {"frames": 5}}, {"bodies": ["FR_.*"]}):
+        options = following()
+        options = {**options, "reference": {**options["reference"], **changed}}
+        with pytest.raises(Rejected, match=f"with another reference.{next(iter(changed))}: take the same"):
+            new_job(learning({"job": expert.id}, options=options), job_store)
+    walks = {"task": "imitate", "reference": {"clips": [{"file": CLIPS}]}}
+    other = trained(job_store, 1, id="g1", options=walks)
+    with pytest.raises(Rejected, match="trained 'g1', and this task has 'go1'"):
+        new_job(learning({"job": other.id}, options=following()), job_store)
+
+
 def test_a_clip_is_its_experts_own_by_its_file_and_changes_and_not_by_its_name(
     job_store: PostgresJobStore,
 ) -> None:
