@@ -43,14 +43,13 @@ def pytest_collection(session: pytest.Session) -> Generator[None, Any, Any]:
         gc.enable()
 
 
-@pytest.hookimpl(tryfirst=True, specname="pytest_collection_modifyitems")
-def in_one_order(items: list[pytest.Item]) -> None:
-    items.sort(key=_file)
-
-
-@pytest.hookimpl(trylast=True)  # The order of those that run.
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    items[:] = spread(items, getattr(config, "workerinput", {}).get("last_seconds", {}))
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> Generator[None, None, None]:
+    items.sort(key=_file)  # However they were imported, all processes order them alike.
+    yield
+    items[:] = spread(items, getattr(config, "workerinput", {}).get("last_seconds", {}))  # Those that run.
 
 
 def spread(items: list[pytest.Item], seconds: dict[str, float]) -> list[pytest.Item]:

@@ -221,7 +221,9 @@ def test_a_service_is_ready_while_both_stores_answer(stack: Stack) -> None:
         assert stack.http.get("/readyz").json() == {"status": "ok"}
 
 
-@pytest.mark.parametrize("error", list(classes_of_errors()), ids=lambda error: error.__name__)
+@pytest.mark.parametrize(
+    "error", sorted(classes_of_errors(), key=lambda error: error.__name__), ids=lambda error: error.__name__
+)
 def test_every_error_has_a_status_and_a_page(stack: Stack, error: type[GaitwayError]) -> None:
     assert 400 <= status_of(error) < 600
     page = stack.http.get(f"/problems/{error.code}")
