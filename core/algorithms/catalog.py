@@ -191,7 +191,14 @@ def _check_read(settings: BaseSpec, values: Mapping[str, Any]) -> None:
 
 
 def reported(hyperparameters: Mapping[str, Any]) -> BaseSpec:
-    """The settings of a run from its record, without those that only another version has."""
+    """The settings of a run from its record, without those that only another version has; those that it does
+    not read count as left out."""
+    settings = _of_this_version(hyperparameters)
+    settings.model_fields_set.difference_update(settings.unread)  # With them, a submission is refused.
+    return settings
+
+
+def _of_this_version(hyperparameters: Mapping[str, Any]) -> BaseSpec:
     spec = ALGORITHMS[hyperparameters["kind"]].spec
     try:
         return spec.model_validate(hyperparameters)

@@ -1,9 +1,11 @@
 """A job's specification and what the catalogs make of it: resolved once, for checks, views and workers."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, cast
+
+from pydantic import ValidationError
 
 from core.algorithms import catalog as algorithms
 from core.algorithms.memory import MemoryNeed
@@ -181,11 +183,21 @@ def filled_in(job: Job, store: Uploads) -> dict[str, Any]:
     except Rejected:
         document["environment"]["options"] = dict(spec.environment.options)
     if isinstance(spec, TrainSpec):
-        document["algorithm"] = _hyperparameters(job, spec, resolved)
+        settings = _hyperparameters(job, spec, resolved)
+        unread = _unread(settings)  # With them, it could not be submitted again.
+        document["algorithm"] = {name: value for name, value in settings.items() if name not in unread}
         del document["seeds" if spec.seeds is None else "seed"]  # The two exclude each other.
     if spec.video is not None and spec.video.cameras is not None:
         del document["video"]["camera"]  # The two exclude each other.
     return document
+
+
+def _unread(hyperparameters: Mapping[str, Any]) -> Collection[str]:
+    """The names of settings that a run does not read beside the others."""
+    try:
+        return algorithms.reported(hyperparameters).unread
+    except ValidationError:  # Of another version.
+        return ()
 
 
 def _hyperparameters(job: Job, spec: TrainSpec, resolved: ResolvedJob | None) -> dict[str, Any]:

@@ -54,6 +54,13 @@ def test_settings_that_another_version_recorded_are_understood(spec: BaseSpec) -
         reported({**record, "discounting": 2.0, "of_another_version": 1})
 
 
+def test_settings_that_a_run_did_not_read_are_not_given_by_its_record() -> None:
+    record = PPOSpec.model_validate({"network": {"kind": "intention"}}).model_dump(mode="json")
+    given = reported(record).model_fields_set
+    assert "network" in given
+    assert "policy_hidden_layer_sizes" not in given
+
+
 def test_an_observation_that_the_environment_does_not_have_is_refused() -> None:
     refused = refusal(value_obs_key="privileged_state")
     assert refused.detail == "ant has one observation, 'state', and none called 'privileged_state'."

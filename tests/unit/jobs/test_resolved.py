@@ -12,7 +12,7 @@ from core.environments.terms.inventory import Sensor
 from core.errors import Rejected
 from core.jobs.checks import check
 from core.jobs.job import Attempt, Job
-from core.jobs.resolved import engines_that_cannot, filled_in
+from core.jobs.resolved import engines_that_cannot, filled_in, resolve_job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import JobStore
 from core.jobs.submission import completed
@@ -49,6 +49,20 @@ def test_it_is_accepted_as_a_job_and_has_nothing_left_to_fill_in(jobs: JobStore,
         assert "learning_rate" in whole["algorithm"]
         accepted.append(environment)
     assert accepted
+
+
+def test_what_a_network_takes_the_place_of_is_left_out(jobs: JobStore) -> None:
+    """A rat's tuned perceptron has other layers on a GPU."""
+    network = {"kind": "intention", "encoder_sees": ["qpos"]}
+    sent = {"environment": "rodent", "algorithm": {"network": network}}
+    one = job(**sent)
+    used = resolve_job(one.spec).settings_on("cpu").model_dump(mode="json")
+    facts: dict[str, Any] = {"token": "t", "started_at": NOON, "details": {"hyperparameters": used}}
+    had = Attempt(number=1, worker="w", **facts)
+    for known in (one, job((had,), **sent)):
+        whole = filled_in(known, jobs)
+        assert "policy_hidden_layer_sizes" not in whole["algorithm"]
+        check(job(**whole).spec, jobs)
 
 
 def test_several_seeds_stay_alone(jobs: JobStore) -> None:
