@@ -25,10 +25,16 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     """clips: of each the file, its name, its seconds, and its mean speed along the ground in m/s."""
     start_lean()  # As a job does.
     from core.clips.archive import to_bytes
+    from core.jobs.resolved import resolve_job
+    from core.jobs.spec import TrainSpec
 
     Path(request["cache"]).mkdir(parents=True, exist_ok=True)
     keep_compiled(request["cache"], "compiled")
-    seen = [list(_clips_of(seed, request)) for seed in request["seeds"]]
+    body = {"id": request["body"], "options": {}}
+    settings = {"kind": "ppo", **request["settings"]}
+    job = resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": settings}))
+    recorder = _Recorder(job, request["seconds"])
+    seen = [list(_clips_of(seed, job, recorder, request)) for seed in request["seeds"]]
     files = dict[str, list[Any]]()
     if request["unseen"]:
         files[f"{request['body']}-unseen"] = list(islice(_in_turn([seen.pop()]), request["unseen"]))
@@ -60,18 +66,13 @@ def _row(file: str, clip: Any) -> dict[str, Any]:
     }
 
 
-def _clips_of(seed: int, request: dict[str, Any]) -> Iterator[list[Any]]:
+def _clips_of(seed: int, job: Any, recorder: "_Recorder", request: dict[str, Any]) -> Iterator[list[Any]]:
     """The clips of each stage of a training."""
     from core.algorithms.events import TrainingProgress
     from core.algorithms.run import make_run
     from core.environments import catalog
-    from core.jobs.resolved import resolve_job
-    from core.jobs.spec import TrainSpec
     from core.physics.choose import engine_builder
 
-    body = {"id": request["body"], "options": {}}
-    settings = {"kind": "ppo", **request["settings"]}
-    job = resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": settings}))
     ppo = job.settings_on(request["device"])
     engine = engine_of("auto", job.info, request["device"], ppo.num_parallel_envs)
     environment = catalog.make(job.info, job.options, engine_builder(engine))
@@ -82,38 +83,52 @@ def _clips_of(seed: int, request: dict[str, Any]) -> Iterator[list[Any]]:
             due = event.total * (len(policies) + 1) / request["stages"]
             if event.step >= due or event.step >= event.total:
                 policies.append((event.step, run.policy()))
-    recorded = catalog.make(job.info, job.options, engine_builder("native"))
     for step, content in policies:
-        name = f"{request['body']}-{seed}-{round(step / 1e3)}k"
-        yield list(_recorded(name, recorded, content, request["seconds"]))
+        yield list(recorder.clips(f"{request['body']}-{seed}-{round(step / 1e3)}k", content))
 
 
-def _recorded(name: str, environment: Any, policy: bytes, seconds: float) -> Iterator[Any]:
-    """A clip of each episode in which the body does not fall."""
-    import jax
-    import numpy as np
+class _Recorder:
+    """Episodes of policies with one kind of network, in C MuJoCo; compiled once for all."""
 
-    from core.algorithms.battery.run import on_the_cpu
-    from core.algorithms.trained_policy import load_policy
+    def __init__(self, job: Any, seconds: float) -> None:
+        from core.environments import catalog
+        from core.physics.choose import engine_builder
 
-    with on_the_cpu():
-        trained = load_policy(policy, "ppo", is_checkpoint=False)
-        acted, act = trained.acting(environment)
-        num_steps = round((_BEFORE_S + seconds) / environment.dt)
+        self._environment: Any = catalog.make(job.info, job.options, engine_builder("native"))
+        self._begin, steps = (round(s / self._environment.dt) for s in (_BEFORE_S, _BEFORE_S + seconds))
+        self._num_steps, self._episodes = steps, None
 
-        def episode(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def clips(self, name: str, policy: bytes) -> Iterator[Any]:
+        """A clip of each episode in which the body does not fall."""
+        import jax
+        import numpy as np
+
+        from core.algorithms.battery.run import on_the_cpu
+        from core.algorithms.trained_policy import load_policy
+
+        with on_the_cpu():
+            trained = load_policy(policy, "ppo", is_checkpoint=False)
+            self._episodes = self._episodes or self._compiled(trained)
+            keys = jax.random.split(jax.random.key(0), _EPISODES)
+            positions, fell = self._episodes(trained.parameters, keys)
+        for number in np.flatnonzero(np.asarray(fell) == 0):
+            rows = np.asarray(positions[number][self._begin :], float)
+            yield clip_of(f"{name}-{number}", rows, self._environment.model, 1.0 / self._environment.dt)
+
+    def _compiled(self, trained: Any) -> Any:
+        import jax
+
+        acted, act = trained.acting(self._environment)
+
+        def episode(parameters: Any, key: jax.Array) -> tuple[jax.Array, jax.Array]:
             def step(state: Any, _: None) -> tuple[Any, tuple[jax.Array, jax.Array]]:
-                state = acted.step(state, act(trained.parameters, state, key))
+                state = acted.step(state, act(parameters, state, key))
                 return state, (state.physics.qpos, state.done)
 
-            _, (positions, ends) = jax.lax.scan(step, acted.reset(key), length=num_steps)
+            _, (positions, ends) = jax.lax.scan(step, acted.reset(key), length=self._num_steps)
             return positions, jax.numpy.max(ends)
 
-        positions, fell = jax.jit(jax.vmap(episode))(jax.random.split(jax.random.key(0), _EPISODES))
-    begin = round(_BEFORE_S / environment.dt)
-    for number in np.flatnonzero(np.asarray(fell) == 0):
-        rows = np.asarray(positions[number][begin:], float)
-        yield clip_of(f"{name}-{number}", rows, environment.model, 1.0 / environment.dt)
+        return jax.jit(jax.vmap(episode, in_axes=(None, 0)))
 
 
 def clip_of(name: str, rows: Any, model: Any, rate: float) -> Any:
