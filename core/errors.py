@@ -234,15 +234,18 @@ class JobInUse(Conflict):
     code = "job-in-use"
     title = "Jobs need its checkpoint"
 
-    def __init__(self, job_id: str, jobs: Sequence[str], num_hidden: int = 0) -> None:
-        """jobs: those that may be named. num_hidden: how many others there are."""
-        self.job, self.jobs = job_id, tuple(jobs)
-        named = [*jobs[:5], *([f"{num_hidden} in projects that you do not see"] if num_hidden else [])]
+    def __init__(
+        self, job_id: str, jobs: Sequence[str], sweeps: Sequence[str] = (), num_hidden: int = 0
+    ) -> None:
+        """jobs, sweeps: those that may be named. num_hidden: how many others there are."""
+        self.job, self.jobs, self.sweeps = job_id, tuple(jobs), tuple(sweeps)
+        hidden = [f"{num_hidden} in projects that you do not see"] if num_hidden else []
         super().__init__(
-            f"{len(jobs) + num_hidden} unfinished jobs need a checkpoint of job {job_id} "
-            f"({', '.join(named)}): cancel them first.",
+            f"{len(jobs) + len(sweeps) + num_hidden} unfinished jobs or sweeps need a checkpoint of job "
+            f"{job_id} ({', '.join([*[*jobs, *sweeps][:5], *hidden])}): cancel them first.",
             job=job_id,
             jobs=list(jobs),
+            sweeps=list(sweeps),
         )
 
 

@@ -282,13 +282,14 @@ def delete_job(job_id: JobId, service: ServiceDep, principal: PrincipalDep) -> N
 
 @contextmanager
 def naming_those_seen(principal: Principal, service: Service) -> Generator[None]:
-    """Raise a JobInUse without the names of jobs that the principal does not see."""
+    """Raise a JobInUse without the names of jobs that the principal does not see. Sweeps read their own
+    project alone, which has the job, too."""
     try:
         yield
     except JobInUse as error:
         needed = service.store.jobs_of(error.jobs)
         seen = [borrower for borrower, job in needed.items() if principal.sees(job.project)]
-        raise JobInUse(error.job, seen, len(error.jobs) - len(seen)) from None
+        raise JobInUse(error.job, seen, error.sweeps, len(error.jobs) - len(seen)) from None
 
 
 def _view(job: Job | UnreadableJob, service: Service) -> JobView:

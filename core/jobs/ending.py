@@ -76,7 +76,7 @@ def delete(job_id: str, *, store: JobStore, objects: ObjectStore) -> None:
 
     `end_deletions` removes the files that an outage of the object store leaves. A record that cannot be read
     can be deleted. Raises JobNotFound; JobNotFinished unless the job has ended; JobInUse while another one
-    needs a checkpoint of it.
+    needs a checkpoint of it, or a sweep is to make jobs that do.
     """
     delete_in_record(job_id, store=store)
     with suppress(StorageUnavailable):

@@ -295,7 +295,7 @@ class JobStore(NewsStore, QuotaStore, RetentionStore, Uploads, UsageStore, Worke
         """Delete the job, its feeds and its lease, and remember that its objects are to be removed.
 
         Raises JobNotFound, StaleJob where its version has changed, and JobInUse while an unfinished job needs
-        a checkpoint of it: one transaction checks that and deletes.
+        a checkpoint of it, or an unfinished sweep names it: one transaction checks that and deletes.
         """
         ...
 

@@ -18,6 +18,7 @@ from core.adapters import wiring
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
+from core.sweeps.controller import SweepController
 from core.user_models.record import ModelRecord
 from gaitway.schema import FINAL_STATUSES
 from tests.api.accounts import NOBODY, Lab, opened
@@ -202,6 +203,20 @@ def test_a_deletion_names_no_jobs_of_projects_that_one_does_not_see(lab: Lab) ->
     assert problem(lab.of("ann").delete(f"/jobs/{job_id}"), 409, "job-in-use")["jobs"] == [seen]
     document = problem(lab.of("root").delete(f"/jobs/{job_id}"), 409, "job-in-use")
     assert sorted(document["jobs"]) == sorted([hidden, seen])
+
+
+def test_a_job_stays_while_a_sweep_is_to_make_jobs_of_its_checkpoint(lab: Lab) -> None:
+    job_id = trained_by_ann(lab)
+    rollout = {"kind": "rollout", "policy": {"kind": "checkpoint", "job": job_id}}
+    sweep = {"job": rollout, "method": "grid", "parameters": {"seed": [1, 2]}}
+    made = lab.of("ann").post("/sweeps", json=sweep)
+    assert made.status_code == 202, made.text
+    document = problem(lab.of("ann").delete(f"/jobs/{job_id}"), 409, "job-in-use")
+    assert (document["jobs"], document["sweeps"]) == ([], [made.json()["id"]])
+    assert "1 unfinished jobs or sweeps need a checkpoint" in document["detail"]
+    assert lab.of("ann").post(f"/sweeps/{made.json()['id']}/cancel").is_success
+    SweepController(lab.stack.store, lab.stack.queue, lab.stack.objects).run_once()
+    assert lab.of("ann").delete(f"/jobs/{job_id}").status_code == 204
 
 
 def test_a_foreign_model_is_refused_as_one_that_does_not_exist(lab: Lab) -> None:

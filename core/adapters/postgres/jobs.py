@@ -178,8 +178,10 @@ class JobQueries(Session):
         with self._transaction() as connection:
             # With `hold_source`: whoever comes second waits here, and then sees what the first one did.
             connection.execute(select(jobs.c.id).where(jobs.c.id == job_id).with_for_update())
-            if needed_by := [row.id for row in connection.execute(borrowers_of(job_id))]:
-                raise JobInUse(job_id, needed_by)
+            needed_by = [row.id for row in connection.execute(borrowers_of(job_id))]
+            to_come = connection.execute(rows.sweeps_naming(job_id)).scalars().all()
+            if needed_by or to_come:
+                raise JobInUse(job_id, needed_by, to_come)
             delete_job(connection, job_id, version)
 
     def deletions(self, *, before: timedelta = timedelta(0)) -> Sequence[str]:

@@ -284,11 +284,12 @@ def users_of(upload_id: str) -> Any:
     return wanted.order_by(jobs.c.id)
 
 
-def sweeps_naming(upload_id: str, projects: Collection[str]) -> Any:
-    """The ids of the unfinished sweeps in these projects that name this model or file of clips, among their
-    axes' values, too."""
-    wanted = select(sweeps.c.id).where(sweeps.c.finished_at.is_(None), sweeps.c.project.in_(projects))
-    return wanted.where(sweeps.c.spec.contains(upload_id, autoescape=True)).order_by(sweeps.c.id)
+def sweeps_naming(name: str, projects: Collection[str] | None = None) -> Any:
+    """The ids of the unfinished sweeps that name this job, model or file of clips, among their axes' values,
+    too. projects: those in which they are; None: any."""
+    names_it = sweeps.c.spec.contains(name, autoescape=True)
+    wanted = select(sweeps.c.id).where(sweeps.c.finished_at.is_(None), names_it).order_by(sweeps.c.id)
+    return wanted if projects is None else wanted.where(sweeps.c.project.in_(projects))
 
 
 def readable(job: Job | UnreadableJob) -> Job:
