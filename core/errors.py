@@ -224,10 +224,12 @@ class ClipsInUse(Conflict):
         )
 
 
-def _needed(what: str, jobs: Sequence[str], sweeps: Sequence[str]) -> str:
-    counted = {"jobs": len(jobs), "sweeps": len(sweeps)}
+def _needed(what: str, jobs: Sequence[str], sweeps: Sequence[str], num_hidden: int = 0) -> str:
+    """A sentence. num_hidden: how many jobs there are besides, which must not be named."""
+    counted = {"jobs": len(jobs) + num_hidden, "sweeps": len(sweeps)}
     who = " and ".join(f"{number} unfinished {name}" for name, number in counted.items() if number)
-    return f"{who} need {what} ({', '.join([*jobs, *sweeps][:5])}): cancel them first."
+    hidden = [f"{num_hidden} in projects that you do not see"] if num_hidden else []
+    return f"{who} need {what} ({', '.join([*[*jobs, *sweeps][:5], *hidden])}): cancel them first."
 
 
 class JobInUse(Conflict):
@@ -237,12 +239,10 @@ class JobInUse(Conflict):
     def __init__(
         self, job_id: str, jobs: Sequence[str], sweeps: Sequence[str] = (), num_hidden: int = 0
     ) -> None:
-        """jobs, sweeps: those that may be named. num_hidden: how many others there are."""
+        """jobs: those that may be named. num_hidden: how many others there are."""
         self.job, self.jobs, self.sweeps = job_id, tuple(jobs), tuple(sweeps)
-        hidden = [f"{num_hidden} in projects that you do not see"] if num_hidden else []
         super().__init__(
-            f"{len(jobs) + len(sweeps) + num_hidden} unfinished jobs or sweeps need a checkpoint of job "
-            f"{job_id} ({', '.join([*[*jobs, *sweeps][:5], *hidden])}): cancel them first.",
+            _needed(f"a checkpoint of job {job_id}", jobs, sweeps, num_hidden),
             job=job_id,
             jobs=list(jobs),
             sweeps=list(sweeps),

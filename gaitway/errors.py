@@ -53,7 +53,7 @@ class ApiError(GaitwayError):
         super().__init__(self.detail)
 
     def __str__(self) -> str:
-        # What is wrong with the whole, and said already, has no place.
+        # `detail` has already said what is wrong with the request as a whole.
         told = [one for one in self.errors if one.pointer or one.detail not in self.detail]
         return "\n".join([self.detail, *map(self._place, told)])
 

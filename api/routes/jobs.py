@@ -282,8 +282,10 @@ def delete_job(job_id: JobId, service: ServiceDep, principal: PrincipalDep) -> N
 
 @contextmanager
 def naming_those_seen(principal: Principal, service: Service) -> Generator[None]:
-    """Raise a JobInUse without the names of jobs that the principal does not see. Sweeps read their own
-    project alone, which has the job, too."""
+    """Raise a JobInUse without the names of jobs that the principal does not see.
+
+    A sweep uses jobs of its own project alone, so whoever sees the job sees the sweep.
+    """
     try:
         yield
     except JobInUse as error:

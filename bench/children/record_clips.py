@@ -95,8 +95,9 @@ class _Recorder:
         from core.physics.choose import engine_builder
 
         self._environment: Any = catalog.make(job.info, job.options, engine_builder("native"))
-        self._begin, steps = (round(s / self._environment.dt) for s in (_BEFORE_S, _BEFORE_S + seconds))
-        self._num_steps, self._episodes = steps, None
+        self._begin = round(_BEFORE_S / self._environment.dt)
+        self._num_steps = round((_BEFORE_S + seconds) / self._environment.dt)
+        self._episodes: Any = None
 
     def clips(self, name: str, policy: bytes) -> Iterator[Any]:
         """A clip of each episode in which the body does not fall."""

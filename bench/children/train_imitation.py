@@ -38,10 +38,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         sent = [Path(file) for file in (*request["clips"], request["unseen"]) if file is not None]
         identities = [f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}" for file in sent]
         files = dict(zip(identities, canonical(sent, Path(folder)), strict=True))
-        number = len(request["clips"])
-        seen, unseen = (
-            [{"file": one} for one in part] for part in (identities[:number], identities[number:])
-        )
+        chosen, number = [{"file": identity} for identity in identities], len(request["clips"])
+        seen, unseen = chosen[:number], chosen[number:]
         mirrored = [{**clip, "mirror": True} for clip in seen] if request["mirrored"] else []
 
         def job_on(clips: list[Any]) -> Any:

@@ -16,7 +16,8 @@ _MOST_POSES = 1000
 # Of the body's size (`Skeleton.size`): 1.08 m for a G1, so 6 cm and 2 cm.
 _SUNK, _NEARLY_SUNK, _AFLOAT, _FAR_ABOVE = 0.06, 0.015, 0.1, 5.0
 _UNITS = {"millimetres": 0.001, "centimetres": 0.01}
-# What the quaternions are, what they were read as, and the columns of what was read that are w x y z.
+# The order that quaternions have, the order in which they were read, and the columns of what was read that
+# give w x y z.
 _ORDERS = (("x y z w", "w x y z", (3, 0, 1, 2)), ("w x y z", "x y z w", (1, 2, 3, 0)))
 # rad or m beyond a joint's limit.
 _FAR_BEYOND, _BEYOND = 1.0, 0.05

@@ -1,4 +1,4 @@
-"""What chance changes within an episode: random numbers of each step, commands, and events such as pushes."""
+"""The random parts of an episode: numbers drawn in each step, commands, and events such as pushes."""
 
 import copy
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ _OF_THE_EPISODE = 7
 
 
 class Purpose(IntEnum):
-    """What random numbers of a step are for, folded into their key. Each event has its own, from EVENT on."""
+    """What a step's random numbers are drawn for; it is folded into their key. Event n has EVENT + n."""
 
     COMMAND = 0
     GAIT = 1
@@ -31,22 +31,18 @@ class Purpose(IntEnum):
 class Chance:
     """The random numbers of an episode, from a key and a count of steps that `State.info` keeps.
 
-    is_needed: whether anything draws some.
+    is_needed: whether anything draws some. is_left_out: see `left_out`.
     """
 
     def __init__(self, control_step_s: float, *, is_needed: bool) -> None:
         self._control_step_s, self._is_needed = control_step_s, is_needed
-        self._is_left_out = False
+        self.is_left_out = False
 
     def left_out(self) -> "Chance":
         """The same, with the mean in place of each random number."""
         there = copy.copy(self)
-        there._is_left_out = True
+        there.is_left_out = True
         return there
-
-    @property
-    def is_left_out(self) -> bool:
-        return self._is_left_out
 
     def begun(self, key: jax.Array) -> dict[str, jax.Array]:
         """Entries of `State.info` at an episode's start. key: of its reset."""
@@ -61,7 +57,7 @@ class Chance:
 
     def uniform(self, info: Mapping[str, jax.Array], number: int, purpose: int) -> jax.Array:
         """Random numbers [number] in [0, 1) of this step, for one purpose."""
-        if self._is_left_out:
+        if self.is_left_out:
             return jnp.full(number, 0.5)
         of_the_step = jax.random.fold_in(jax.random.wrap_key_data(info["key"]), info["steps"])
         return jax.random.uniform(jax.random.fold_in(of_the_step, purpose), (number,))
@@ -111,7 +107,7 @@ class CommandSampler:
         return jnp.float32(self._draw.measure(step, uniform))
 
     def _told(self, drawn: jax.Array, step: Step) -> dict[str, jax.Array]:
-        """What is carried of a command after a step."""
+        """Entries of `State.info` for a command that was drawn."""
         if self._given is not None:
             return {"command": self._given}
         if self._tell is None:

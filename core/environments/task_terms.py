@@ -19,7 +19,7 @@ from core.environments.terms.task import TaskOptions, metric_names, observed, re
 from core.environments.terms.terminations import OutsideHeightRange, TerminationTerm
 from core.environments.terms.vocabulary import AnyReward
 
-# Of the initial height: where an episode ends whose task names no terminations.
+# An episode ends at these shares of the initial height if its task names no terminations.
 _LOWEST, _HIGHEST = 0.4, 2.0
 
 

@@ -18,8 +18,8 @@ from core.jobs.store import JobStore
 # ends. A checkpoint's arrays have the same shapes under any of them.
 _PAYING = ("reward", "weight", "cost")
 _OF_EPISODES = ("reset", "termination")
-# What takes a policy of another job, a rollout or a training that resumes, may change these fields of its
-# `reference`: with other clips, an observation still means the same.
+# A rollout, or a training that resumes, takes a policy of another job, and may change these fields of that
+# job's `reference`: with other clips, an observation still means the same.
 _OF_CLIPS = ("clips", "sampling", "random_phase")
 _MOST_SHOWN = 100
 

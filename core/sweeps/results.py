@@ -52,7 +52,7 @@ _OF_ALGORITHMS = {
     },
     "q_learning": {"episodes", "num_episodes", "epsilon"},
 }
-# Of every task with a reference.
+# The metrics that every task with a reference reports.
 _OF_CLIPS = ("root_error", "root_turn_error", "joint_error", "body_error", "clip_followed", "x_velocity")
 
 

@@ -213,7 +213,7 @@ def test_a_job_stays_while_a_sweep_is_to_make_jobs_of_its_checkpoint(lab: Lab) -
     assert made.status_code == 202, made.text
     document = problem(lab.of("ann").delete(f"/jobs/{job_id}"), 409, "job-in-use")
     assert (document["jobs"], document["sweeps"]) == ([], [made.json()["id"]])
-    assert "1 unfinished jobs or sweeps need a checkpoint" in document["detail"]
+    assert f"1 unfinished sweeps need a checkpoint of job {job_id}" in document["detail"]
     assert lab.of("ann").post(f"/sweeps/{made.json()['id']}/cancel").is_success
     SweepController(lab.stack.store, lab.stack.queue, lab.stack.objects).run_once()
     assert lab.of("ann").delete(f"/jobs/{job_id}").status_code == 204

@@ -110,7 +110,7 @@ class BuiltEnvironment:
 
     @property
     def task(self) -> TaskOptions | None:
-        """What the body does; None where no terms say so."""
+        """The task of terms that the body does; None of a body whose task is not made of terms."""
         return task_of(self.info, self.job.options)
 
     def doing(self, task: TaskOptions, engine: EngineName) -> Environment:

@@ -1,4 +1,4 @@
-"""What a task carries from step to step for the terms that say that they remember it; no numerical code."""
+"""What terms remember from step to step, such as the previous action; no numerical code."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -26,7 +26,7 @@ class MetricTerm(Term):
 
 
 METRICS = Kinds(MetricTerm, "measure")
-# Of what the terms here measure, by name. `joint_error` is in m for slides.
+# The units of these terms' metrics, by name. The `joint_error` of a slide is in m.
 UNITS: Mapping[str, str] = {
     **dict.fromkeys(("x_position", "y_position", "height", "distance_from_origin"), "m"),
     **dict.fromkeys(("x_velocity", "y_velocity", "velocity_error"), "m/s"),
