@@ -17,7 +17,7 @@ from bench.child import ChildFailed, run_child
 from bench.summary import Figure, middle
 
 _CHILD = "bench.children.train_imitation"
-_TIMEOUT_S = {"gpu": 900.0, "cpu": 7200.0}
+_TIMEOUT_S = {"gpu": 1500.0, "cpu": 7200.0}
 _STARTS, _QUICK_STARTS = 256, 4
 _QUICK: dict[str, Any] = {
     "num_timesteps": 2_000,

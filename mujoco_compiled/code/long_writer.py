@@ -19,8 +19,7 @@ from mujoco_compiled.program.program import Program
 # and 0.36 µs with them. From about this length on it is as fast with them, and compiled sooner.
 _LONG = 40_000
 # Sections leave no routine that threads share. In them a rodent with 43,600 operations made 37,000 control
-# steps/s on an H200; another with 36,500 made 169,000 in one piece. NVIDIA's assembler takes a third longer
-# for the first in one piece than for the second.
+# steps/s on an H200; in one piece it makes 172,000.
 _LONG_WITH_ROUTINES = 60_000
 # Of a program that runs rarely, whose code should be there soon: a rodent's derived fields, 20,000 operations
 # with hardly a loop, took LLVM 38 s in one piece and 5 s in sections.

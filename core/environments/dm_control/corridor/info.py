@@ -45,8 +45,8 @@ _MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."
 _ON_A_GPU = (Rule("warp", 1, _MANY_PAIRS), Rule("native", 1, _MANY_PAIRS))
 # The other walkers' code has not been measured on a GPU.
 _COMPILED_ON_A_GPU = {
-    "ant": Rule("compiled", 1, "Measured on an H200: 6.6 M control steps/s of physics, 1.2 M by warp."),
-    "rodent": Rule("compiled", 1, "Measured on H200s: PPO makes 130 k control steps/s, 111 k by warp."),
+    "ant": (Rule("compiled", 1, "Measured on an H200: 6.6 M control steps/s of physics, 1.2 M by warp."),),
+    "rodent": (Rule("compiled", 1, "Measured on H200s: PPO makes 130 k control steps/s, 111 k by warp."),),
 }
 _ON_A_CPU = (Rule("compiled", 16, "Measured on two cores, with the ant: physics 4.2 × that of native."),)
 _RODENT_ON_A_CPU = (
@@ -248,7 +248,7 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
         "decoders_of": _RODENT if options.walker == _RODENT else None,
         "cannot_run": _cannot_run(options),
         "on_a_cpu": _RODENT_ON_A_CPU if _is_long(options) else _ON_A_CPU,
-        "on_a_gpu": _on_a_gpu(options),
+        "on_a_gpu": _COMPILED_ON_A_GPU.get(options.walker, ()) + _ON_A_GPU,
     }
 
 
@@ -279,13 +279,6 @@ def spaces(options: CorridorOptions) -> Spaces:
     rat = parts_of(TaskOfTerms(), inventory_of(_RODENT))
     seen += [part for term in seen_by(options.action) for part in term.slices_of_history(rat)]
     return Spaces(in_order(seen), in_order(intention(options.action)))
-
-
-def _on_a_gpu(options: CorridorOptions) -> tuple[Rule, ...]:
-    """With a layout for each episode the rodent's code has not been measured as it is now."""
-    compiled = _COMPILED_ON_A_GPU.get(options.walker)
-    is_unmeasured = options.walker == _RODENT and options.has_layouts
-    return _ON_A_GPU if compiled is None or is_unmeasured else (compiled, *_ON_A_GPU)
 
 
 def _is_long(options: CorridorOptions) -> bool:

@@ -368,12 +368,6 @@ def test_a_gpu_gets_what_was_measured_fastest_of_what_is_installed(
     assert choose("auto", "gpu", 2048, row.on_a_gpu, row.cannot_run).name == engine
 
 
-def test_a_rat_in_many_layouts_gets_warp(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(availability, "is_installed", lambda _: True)
-    row = catalog.find("corridor").under(CorridorOptions(walker="rodent", num_layouts=2))
-    assert choose("auto", "gpu", 2048, row.on_a_gpu, row.cannot_run).name == "warp"
-
-
 def test_a_worker_without_dm_control_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> object:
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
