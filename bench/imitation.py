@@ -51,6 +51,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mirrored", action="store_true", help="with the mirror image of each clip")
     parser.add_argument("--body", default="g1", choices=list(_CLOSE), help="of the catalog, by default g1")
     parser.add_argument("--unseen", type=Path, metavar="FILE", help="of clips that are followed besides")
+    parser.add_argument(
+        "--further",
+        type=int,
+        default=0,
+        metavar="N",
+        help="steps that then go on with the unseen clips alone",
+    )
     parser.add_argument("--steps", type=int, metavar="N", help="of a training; by default tuned")
     parser.add_argument("--settings", type=json.loads, default={}, metavar="JSON", help="of PPO")
     parser.add_argument("--options", type=json.loads, default={}, metavar="JSON", help="of the task")
@@ -60,6 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace, folder: Path) -> Iterator[Figure]:
     """folder: for what the trainings compile."""
+    if arguments.further and arguments.unseen is None:
+        raise SystemExit("--further goes on with the clips of --unseen: name a file of them, too.")
     seeds = 1 if arguments.quick else arguments.seeds
     answers = [_trained(0, "cold", folder, arguments)]
     answers += [_trained(seed, "warm", folder, arguments) for seed in range(seeds if seeds > 1 else 0)]
@@ -91,6 +100,7 @@ def _trained(seed: int, which: str, folder: Path, arguments: argparse.Namespace)
         "starts": _QUICK_STARTS if arguments.quick else _STARTS,
         "close": _CLOSE[arguments.body],
         "unseen": str(arguments.unseen.absolute()) if arguments.unseen else None,
+        "further": arguments.further,
         "keep": keep,
     }
     try:
@@ -115,6 +125,8 @@ def _told(answered: Answer) -> str:
     rows = {"all": answered["all"], **answered["clips"]}
     if answered["unseen"]:
         rows["all unseen"] = answered["unseen"]
+    if answered["learnt"]:
+        rows[f"all unseen, after {answered['further_s']:.0f} s with them"] = answered["learnt"]
     for name, row in rows.items():
         lines.append(
             f"  {name}: {row['reached']:.1%} of {row['starts']} starts reached the end, "
@@ -156,19 +168,21 @@ def _figures(what: str, answers: Sequence[Answer | str], arguments: argparse.Nam
         at_least=_SHARE_CLOSE.get(arguments.body) if is_judged else None,
         missing=missing,
     )
-    if arguments.unseen is not None:
-        yield middle(
-            f"{what}: the same, of clips that it has not seen",
-            [one["unseen"]["close"] for one in there],
-            missing=missing,
-        )
+    which = {"unseen": "it has not seen"} if arguments.unseen else {}
+    which |= {"learnt": f"it has learnt by {arguments.further} more steps"} if arguments.further else {}
+    for row, clips in which.items():
+        for share, said in (("reached", "that come to the end"), ("close", "so near")):
+            values = [one[row][share] for one in there]
+            yield middle(f"{what}: share of starts {said}, of clips that {clips}", values, missing=missing)
+    if arguments.further:
+        yield middle(f"{what}: their training", [one["further_s"] for one in there], "s", missing=missing)
     for name, unit in (("root_error", "m"), ("root_turn_error", "rad"), ("joint_error", "rad")):
         values = [one["all"][name] for one in there]
         yield middle(f"{what}: {name}, mean over steps", values, unit, missing=missing)
-    for which, chosen in (("cold", answers[:1]), ("warm", answers[1:])):
+    for state, chosen in (("cold", answers[:1]), ("warm", answers[1:])):
         seconds = [one["policy_s"] for one in chosen if isinstance(one, dict)]
         if seconds:
-            yield middle(f"{what}: from the process's start to the policy, {which}", seconds, "s")
+            yield middle(f"{what}: from the process's start to the policy, {state}", seconds, "s")
 
 
 def main() -> None:

@@ -4,7 +4,8 @@ Request: body, a robot; options (without `reference`, which is added); reference
 our own files of clips or NPZs as mjlab's; mirrored, whether it follows their mirror images, too; settings (of
 PPO; what they leave out is tuned); seed; device (`cpu` or `gpu`); cache, a folder for compiled programs;
 starts; close, up to which errors of root (m) and joints (rad) an episode is close; unseen, a file of clips
-that are followed besides, or null; keep, a file for the policy, or null.
+that are followed besides, or null; further, the steps of a training that goes on with these alone, or 0;
+keep, a file for the policy, or null.
 """
 
 import hashlib
@@ -22,7 +23,8 @@ from core.start_up import start_lean
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """built_at, policy_at, tested_at: the hours when the environment was built, the policy was trained, and
     its trial was over. training: [[steps, seconds of training until then], …]; steps; engine; all, by clip,
-    and of all unseen clips: see `FollowingResult`; of C MuJoCo."""
+    of all unseen clips, and of these once they are learnt: see `FollowingResult`; of C MuJoCo. further_s:
+    seconds of the training that learns them."""
     start_lean()  # As a job does.
     from core.algorithms.events import TrainingProgress
     from core.algorithms.following import followed, spread_over
@@ -48,7 +50,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
             settings = {"kind": "ppo", **request["settings"]}
             return resolve_job(TrainSpec.model_validate({"environment": body, "algorithm": settings}))
 
-        def tried(clips: list[Any]) -> tuple[Any, dict[str, Any]]:
+        def tried(content: bytes, clips: list[Any]) -> tuple[Any, dict[str, Any]]:
+            policy = load_policy(content, "ppo", is_checkpoint=False)
             judged = catalog.make(job.info, job_on(clips).options, engine_builder("native"), clips=files)
             assert isinstance(judged, TaskEnv)  # noqa: S101 - it follows a reference
             rows = spread_over(judged, request["starts"])
@@ -68,12 +71,22 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         told |= {"steps": run.step, "policy_at": time.time()}
         if request["keep"] is not None:
             Path(request["keep"]).write_bytes(content)
-        policy = load_policy(content, "ppo", is_checkpoint=False)
-        whole, by_clip = tried(seen)
+        whole, by_clip = tried(content, seen)
         told |= {"all": whole.document(), "clips": {name: one.document() for name, one in by_clip.items()}}
-        told |= {"tested_at": time.time(), "unseen": {}}
+        told |= {"tested_at": time.time(), "unseen": {}, "learnt": {}, "further_s": 0.0}
         if unseen:
-            told["unseen"] = tried(unseen)[0].document()
+            told["unseen"] = tried(content, unseen)[0].document()
+        if request["further"]:
+            longer = ppo.model_copy(update={"num_timesteps": run.step + request["further"]})
+            environment = catalog.make(job.info, job_on(unseen).options, engine_builder(engine), clips=files)
+            begun = run.checkpoint()
+            run = make_run(
+                environment, longer, seed=0, checkpoint_every_steps=None, resume=begun, new_clips=True
+            )
+            for event in run.events():
+                if isinstance(event, TrainingProgress):
+                    told["further_s"] = event.metrics["training/walltime"]
+            told["learnt"] = tried(run.policy(), unseen)[0].document()
     return told
 
 
