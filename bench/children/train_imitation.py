@@ -57,16 +57,21 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
             rows = spread_over(judged, request["starts"])
             return followed(judged, policy, rows, seed=request["seed"], close=request["close"])[:2]
 
+        def trained(run: Any) -> list[tuple[int, float]]:
+            return [
+                (event.step, event.metrics["training/walltime"])
+                for event in run.events()
+                if isinstance(event, TrainingProgress)
+            ]
+
         job = job_on([*seen, *mirrored])
         ppo = job.settings_on(request["device"])
         engine = engine_of("auto", job.info, request["device"], ppo.num_parallel_envs)
         keep_compiled(request["cache"], engine)
         environment = catalog.make(job.info, job.options, engine_builder(engine), clips=files)
-        told: dict[str, Any] = {"engine": engine, "training": [], "built_at": time.time()}
+        told: dict[str, Any] = {"engine": engine, "built_at": time.time()}
         run = make_run(environment, ppo, seed=request["seed"], checkpoint_every_steps=None)
-        for event in run.events():
-            if isinstance(event, TrainingProgress):
-                told["training"].append((event.step, event.metrics["training/walltime"]))
+        told["training"] = trained(run)
         content = run.policy()
         told |= {"steps": run.step, "policy_at": time.time()}
         if request["keep"] is not None:
@@ -79,13 +84,15 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         if request["further"]:
             longer = ppo.model_copy(update={"num_timesteps": run.step + request["further"]})
             environment = catalog.make(job.info, job_on(unseen).options, engine_builder(engine), clips=files)
-            begun = run.checkpoint()
             run = make_run(
-                environment, longer, seed=0, checkpoint_every_steps=None, resume=begun, new_clips=True
+                environment,
+                longer,
+                seed=request["seed"],
+                checkpoint_every_steps=None,
+                resume=run.checkpoint(),
+                new_clips=True,
             )
-            for event in run.events():
-                if isinstance(event, TrainingProgress):
-                    told["further_s"] = event.metrics["training/walltime"]
+            _, told["further_s"] = trained(run)[-1]
             told["learnt"] = tried(run.policy(), unseen)[0].document()
     return told
 

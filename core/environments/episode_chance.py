@@ -18,7 +18,7 @@ _OF_THE_EPISODE = 7
 
 
 class Purpose(IntEnum):
-    """What a step's random numbers are drawn for; it is folded into their key. Event n has EVENT + n."""
+    """The uses of a step's random numbers. A use is folded into their key; that of event n is EVENT + n."""
 
     COMMAND = 0
     GAIT = 1

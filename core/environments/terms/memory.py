@@ -1,4 +1,4 @@
-"""What terms remember from step to step, such as the previous action; no numerical code."""
+"""What terms remember of earlier steps, such as the previous action; imports no numerical code."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -350,21 +350,22 @@ def test_mjx_is_refused_where_ellipsoids_meet_boxes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("walker", "lacking", "engine"),
+    ("walker", "num_layouts", "lacking", "engine"),
     [
-        ("ant", set[str](), "compiled"),
-        ("ant", {"compiled"}, "warp"),
-        ("ant", {"compiled", "warp"}, "native"),
-        ("humanoid", set[str](), "warp"),
-        ("humanoid", {"warp"}, "native"),
-        ("rodent", set[str](), "compiled"),
+        ("ant", 1, set[str](), "compiled"),
+        ("ant", 1, {"compiled"}, "warp"),
+        ("ant", 1, {"compiled", "warp"}, "native"),
+        ("humanoid", 1, set[str](), "warp"),
+        ("humanoid", 1, {"warp"}, "native"),
+        ("rodent", 1, set[str](), "compiled"),
+        ("rodent", 2, set[str](), "compiled"),
     ],
 )
 def test_a_gpu_gets_what_was_measured_fastest_of_what_is_installed(
-    walker: Walker, lacking: set[str], engine: str, monkeypatch: pytest.MonkeyPatch
+    walker: Walker, num_layouts: int, lacking: set[str], engine: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(availability, "is_installed", lambda name: name not in lacking)
-    row = catalog.find("corridor").under(CorridorOptions(walker=walker))
+    row = catalog.find("corridor").under(CorridorOptions(walker=walker, num_layouts=num_layouts))
     assert choose("auto", "gpu", 2048, row.on_a_gpu, row.cannot_run).name == engine
 
 
